@@ -1,0 +1,184 @@
+"""What a run of the tracker is configured with: one frozen value, and the presets.
+
+Every field names its unit; sources are the paper (arXiv:2106.08073, section IV-A), the published code
+(spec part B), or a measurement in docs/results.md. Numbers that follow from these belong to `Plan`.
+"""
+
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, Self, get_args
+
+from mscf.errors import ConfigError
+
+LabelRule = Literal["fixed", "joint", "split"]
+ThreatRule = Literal["window", "peaks"]
+PresetName = Literal["mscf", "reference", "paper", "bacf", "bacf+al", "bacf+ahl"]
+PRESETS: tuple[str, ...] = get_args(PresetName)
+
+# lowest and highest value allowed, both included
+_RANGES: dict[str, tuple[float, float]] = {
+    "search_area_ratio": (4, 100),
+    "sample_side_px": (64, 512),
+    "oversampling": (1, 16),
+    "label_sigma": (0.01, 1),
+    "pedestal_height": (0, 1),
+    "pedestal_ratio": (0.25, 10),
+    "pedestal_min_cells": (1, 25),
+    "threat_nu": (0, 100),
+    "threat_delta": (0, 1),
+    "learning_rate": (0, 1),
+    "train_interval": (1, 100),
+    "iterations": (1, 20),
+    "penalty": (1e-6, 1e6),
+    "penalty_growth": (1, 1000),
+    "penalty_max": (1e-6, 1e9),
+    "filter_weight": (0, 1e6),
+    "ideal_weight": (0, 1e9),
+    "previous_weight": (0, 1e9),
+    "label_penalty": (1e-6, 1e6),
+    "scale_count": (3, 99),
+    "scale_step": (1.001, 1.5),
+    "scale_sigma": (0.01, 10),
+    "scale_model_area_px": (64, 4096),
+    "scale_learning_rate": (0, 1),
+    "scale_floor": (1e-12, 1),
+    "scale_train_interval": (1, 100),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerConfig:
+    """Configuration of a `Tracker`; the defaults are preset `mscf`.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range: the text names the field, the value and the range.
+    """
+
+    # sampling (spec B1, B2)
+    search_area_ratio: float = 25.0  # area of the search patch over that of the box
+    sample_side_px: int = 200  # side of the resized search patch; a multiple of the 4 px cell
+    # samples per pixel of the resized patch and axis, at least, when a large crop is thinned; None: keep all
+    oversampling: float | None = 2.0
+
+    # features (spec B3, D)
+    color_table: Path | None = None  # .npz with `table` (32768, 10); None: the package's own
+
+    # label (paper Eq. 3; spec B4, B5)
+    label_sigma: float = 0.066  # of the Gaussian, over the geometric mean of the target's sides
+    pedestal_height: float = 0.044  # eta; 0: none
+    pedestal_ratio: float = 0.625  # side of the target over side of the pedestal
+    pedestal_min_cells: float = 5.0  # the pedestal's least side
+    pedestal_centred: bool = False  # symmetric about the centre; the published code's is a cell or two off
+    pedestal_at_start: bool = False  # also in the first frame
+    label_rule: LabelRule = "split"  # fixed: Omega itself; joint: paper Eq. 13; split: spec B10
+
+    # mutation threat factor (paper Eq. 1, 2; spec B7)
+    threat_rule: ThreatRule = "window"  # window: spec B7; peaks: as the paper states it
+    threat_nu: float = 1.0  # nu
+    threat_delta: float = 0.01  # delta, per exp(cell)
+
+    # training (paper IV-A; spec B10)
+    learning_rate: float = 0.0158  # of the model, per training
+    train_interval: int = 1  # frames from one training to the next
+    iterations: int = 2  # ADMM iterations; of rule "split" in each of its three loops
+    penalty: float = 0.1  # mu of the first iteration
+    penalty_growth: float = 10.0  # beta, of mu and gamma
+    penalty_max: float = 1e4  # mu_max and gamma_max
+    filter_weight: float = 20.0  # lambda1
+    ideal_weight: float = 840.0  # lambda2
+    previous_weight: float = 1.0  # phi
+    label_penalty: float = 27.0  # gamma of the first iteration; rule "split" only
+
+    # scale filter (spec B8)
+    scale_count: int = 33  # odd
+    scale_step: float = 1.03  # ratio of neighbouring scales
+    scale_sigma: float = 0.5  # of the label, over sqrt(scale_count)
+    scale_model_area_px: float = 512.0  # largest area of a resized scale sample
+    scale_learning_rate: float = 0.024
+    scale_floor: float = 1e-4  # added to the denominator
+    scale_train_interval: int = 1  # frames from one training to the next
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if value is None and name == "oversampling":
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ConfigError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
+            if not low <= value <= high:
+                raise ConfigError(f"{name} must be from {low:g} to {high:g}, got {value!r}")
+        for name in ("sample_side_px", "train_interval", "iterations", "scale_count", "scale_train_interval"):
+            if not isinstance(getattr(self, name), int):
+                raise ConfigError(f"{name} must be a whole number, got {getattr(self, name)!r}")
+        for name, rules in (("label_rule", get_args(LabelRule)), ("threat_rule", get_args(ThreatRule))):
+            if getattr(self, name) not in rules:
+                raise ConfigError(f"{name} must be one of {', '.join(rules)}, got {getattr(self, name)!r}")
+        if self.sample_side_px % 8:
+            raise ConfigError(f"sample_side_px must be a multiple of 8, got {self.sample_side_px}")
+        if self.scale_count % 2 == 0:
+            raise ConfigError(f"scale_count must be odd, got {self.scale_count}")
+        if self.penalty_max < self.penalty:
+            raise ConfigError(f"penalty_max must be at least penalty = {self.penalty:g}, got {self.penalty_max:g}")
+        if self.color_table is not None and not isinstance(self.color_table, Path):
+            object.__setattr__(self, "color_table", Path(self.color_table))
+
+    @classmethod
+    def preset(cls, name: str, **overrides: Any) -> Self:
+        """Configuration by name, with any field overridden by its name.
+
+        Parameters
+        ----------
+        name : `mscf` (the default), `reference` (the published code to the letter), `paper` (the paper as
+            stated), `bacf`, `bacf+al`, `bacf+ahl` (the paper's ablation rows).
+
+        Raises
+        ------
+        ConfigError
+            If the preset or a field is unknown (the text names the nearest one) or a value out of range.
+        """
+        if name not in PRESETS:
+            raise ConfigError(f"unknown preset {name!r}{_nearest(name, PRESETS)}: choose from {', '.join(PRESETS)}")
+        known = [field.name for field in fields(cls)]
+        for key in overrides:
+            if key not in known:
+                raise ConfigError(f"unknown field {key!r} of TrackerConfig{_nearest(key, known)}")
+        return replace(cls(**_DIFFERENCES[name]), **overrides)
+
+
+def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
+    matches = get_close_matches(name, known, n=1)
+    return f" (did you mean {matches[0]!r}?)" if matches else ""
+
+
+_REFERENCE: dict[str, Any] = {
+    "oversampling": None,
+    "pedestal_ratio": 0.625,  # 2.5 in the code, but the side is of sample pixels and used as cells of 4 (spec B5)
+    "label_rule": "split",
+    "threat_rule": "window",
+    "train_interval": 1,
+    "iterations": 2,
+}
+_PAPER: dict[str, Any] = {
+    "oversampling": None,
+    "pedestal_ratio": 2.5,
+    "pedestal_min_cells": 1.0,
+    "pedestal_centred": True,
+    "pedestal_at_start": True,
+    "label_rule": "joint",
+    "threat_rule": "peaks",
+    "train_interval": 2,
+    "iterations": 3,
+}
+# what a preset has that the defaults have not
+_DIFFERENCES: dict[str, dict[str, Any]] = {
+    "mscf": {},
+    "reference": _REFERENCE,
+    "paper": _PAPER,
+    # the paper's ablation (section IV-E): the terms of Eq. 4 taken away one by one
+    "bacf": _PAPER | {"label_rule": "fixed", "pedestal_height": 0.0},
+    "bacf+al": _PAPER | {"pedestal_height": 0.0, "ideal_weight": 0.0, "previous_weight": 0.0},
+    "bacf+ahl": _PAPER | {"previous_weight": 0.0},
+}

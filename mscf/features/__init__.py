@@ -1,0 +1,1 @@
+"""Feature channels of a patch: gray, FHOG and colour names."""

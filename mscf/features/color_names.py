@@ -1,0 +1,68 @@
+"""Colour names: mean of a colour's name coordinates over a cell (spec B3, D)."""
+
+import zipfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mscf.arrays import Image, Real
+from mscf.errors import ConfigError
+
+OWN_TABLE = Path(__file__).parent.parent / "data" / "color_names.npz"
+TABLE_SHAPE = (32 * 32 * 32, 10)
+
+
+@lru_cache(maxsize=4)
+def load_table(path: Path | None) -> Real:
+    """Read a colour-name table; None: the one that comes with the package (`mscf/data/README.md`).
+
+    Parameters
+    ----------
+    path : .npz with the array `table`, (32768, 10): row R>>3 + 32*(G>>3) + 1024*(B>>3) has the coordinates of
+        that colour's 11 name probabilities in a 10-dimensional sum-zero subspace.
+
+    Returns
+    -------
+    (32768, 10) float32, read-only.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or holds no finite array of that shape.
+    """
+    source = OWN_TABLE if path is None else path
+    try:
+        with np.load(source) as archive:
+            table = np.ascontiguousarray(archive["table"], dtype=np.float32)
+    except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        text = f"color_table {source} cannot be read ({error}): give an .npz with an array 'table' of {TABLE_SHAPE}"
+        raise ConfigError(text) from error
+    if table.shape != TABLE_SHAPE or not np.isfinite(table).all():
+        text = f"color_table {source} has shape {table.shape}: 'table' must be finite and of shape {TABLE_SHAPE}"
+        raise ConfigError(text)
+    table.flags.writeable = False
+    return table
+
+
+def color_names(patch: Image, cell_px: int, table: Real) -> Real:
+    """Mean of the table's rows over each cell.
+
+    Parameters
+    ----------
+    patch : (H, W, 3) BGR uint8; H and W are multiples of `cell_px`.
+    table : see `load_table`.
+
+    Returns
+    -------
+    (10, H / cell, W / cell) float32.
+    """
+    rows, cols = patch.shape[0] // cell_px, patch.shape[1] // cell_px
+    reduced = patch >> 3
+    index = reduced[..., 0].astype(np.intp) << 10  # blue
+    index |= reduced[..., 1].astype(np.intp) << 5  # green
+    index |= reduced[..., 2]  # red
+    names = table[index]  # (H, W, 10)
+    over_rows = names.reshape(rows, cell_px, cols * cell_px * 10).sum(axis=1)
+    cells = over_rows.reshape(rows, cols, cell_px, 10).sum(axis=2)  # (M, N, 10)
+    return np.ascontiguousarray(cells.transpose(2, 0, 1)) / np.float32(cell_px**2)

@@ -1,0 +1,102 @@
+"""Scale: a one-dimensional correlation filter over a pyramid of samples (spec B8, after DSST)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mscf.arrays import Image, Probe, Real, Real64, Spectrum, no_probe
+from mscf.config import TrackerConfig
+from mscf.features.fhog import CELL_PX, fhog
+from mscf.sampling import sample
+
+
+@dataclass(frozen=True, slots=True)
+class ScalePlan:
+    """What the scale filter keeps from initialisation. K scales, F features of a sample."""
+
+    factors: Real64  # (K,) relative scales, largest first
+    window: Real  # (K,) Hann
+    label_f: Spectrum  # (K//2 + 1,)
+    model_hw: tuple[int, int]  # size of a resized sample, px
+    base_hw: tuple[float, float]  # size of the target at scale factor 1, px
+    limits: tuple[float, float]  # lowest and highest scale factor
+    config: TrackerConfig
+
+    @classmethod
+    def make(
+        cls, cfg: TrackerConfig, size_hw: tuple[float, float], base_hw: tuple[float, float], frame_hw: tuple[int, int]
+    ) -> "ScalePlan":
+        """Plan for a target of `size_hw` pixels in frames of `frame_hw`."""
+        count, step = cfg.scale_count, cfg.scale_step
+        middle = count // 2
+        offset = np.arange(count) - middle
+        sigma = cfg.scale_sigma * math.sqrt(count)
+        label = np.exp(-0.5 * offset**2 / sigma**2)
+        area = size_hw[0] * size_hw[1]
+        shrink = min(1.0, math.sqrt(cfg.scale_model_area_px / area))
+        # one cell at least, where a target is thinner than that (the published code would have no feature)
+        model_hw = max(CELL_PX, math.floor(size_hw[0] * shrink)), max(CELL_PX, math.floor(size_hw[1] * shrink))
+        smallest = step ** math.ceil(math.log(5 / cfg.sample_side_px) / math.log(step))
+        fit = min(frame_hw[0] / base_hw[0], frame_hw[1] / base_hw[1])
+        largest = step ** math.floor(math.log(fit) / math.log(step))
+        return cls(
+            factors=step ** (-offset.astype(np.float64)),
+            window=np.hanning(count).astype(np.float32),
+            label_f=np.fft.rfft(label).astype(np.complex64),
+            model_hw=model_hw,
+            base_hw=base_hw,
+            limits=(min(smallest, largest), largest),
+            config=cfg,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleFilter:
+    """The learned filter: numerator and denominator."""
+
+    num_f: Spectrum  # (K//2 + 1, F)
+    den: Real  # (K//2 + 1,)
+
+
+def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan: ScalePlan) -> Real:
+    """Windowed FHOG features of the target at each relative scale: (K, F) float32, F = 31 * cells."""
+    center_rc = math.floor(pos_rc[0]), math.floor(pos_rc[1])
+    patches = np.stack(
+        [
+            sample(
+                frame,
+                center_rc,
+                (max(1, math.floor(plan.base_hw[0] * factor)), max(1, math.floor(plan.base_hw[1] * factor))),
+                plan.model_hw,
+                oversampling=plan.config.oversampling,
+            )
+            for factor in (scale * plan.factors).tolist()
+        ]
+    )  # (K, h, w[, 3])
+    features = fhog(patches).reshape(len(patches), -1)  # (K, F)
+    features *= plan.window[:, None]
+    return features
+
+
+def train_scale(features: Real, before: ScaleFilter | None, plan: ScalePlan) -> ScaleFilter:
+    """Learn `features` (K, F); `before` is None in the first frame."""
+    x_f = np.fft.rfft(features, axis=0)  # (K//2 + 1, F)
+    num_f = plan.label_f[:, None] * x_f.conj()
+    den = np.einsum("kf,kf->k", x_f.real, x_f.real) + np.einsum("kf,kf->k", x_f.imag, x_f.imag)
+    if before is None:
+        return ScaleFilter(num_f, den)
+    rate = np.float32(plan.config.scale_learning_rate)
+    return ScaleFilter((1 - rate) * before.num_f + rate * num_f, (1 - rate) * before.den + rate * den)
+
+
+def estimate_scale(
+    features: Real, scale: float, scale_filter: ScaleFilter, plan: ScalePlan, probe: Probe = no_probe
+) -> float:
+    """Scale factor of the relative scale with the highest response, kept within the plan's limits."""
+    x_f = np.fft.rfft(features, axis=0)
+    total_f = np.einsum("kf,kf->k", scale_filter.num_f, x_f)
+    response = np.fft.irfft(total_f / (scale_filter.den + np.float32(plan.config.scale_floor)), n=len(plan.factors))
+    probe("scale_response", response)
+    best = scale * float(plan.factors[int(np.argmax(response))])
+    return min(max(best, plan.limits[0]), plan.limits[1])

@@ -1,0 +1,139 @@
+"""Discrete Fourier transforms of feature maps, and the peak between the grid points.
+
+Layout, fixed for the whole package: channel first, (C, M, N) float32 in space and the half spectrum
+(C, M, N//2 + 1) complex64 of `rfft2` in frequency (`_f`). NumPy keeps single precision since 2.0.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mscf.arrays import Real, Real64, Spectrum
+
+NEWTON_STEPS = 5  # spec B6
+
+
+def dft(x: Real) -> Spectrum:
+    """Unnormalised half spectrum over the last two axes: (..., M, N) -> (..., M, N//2 + 1)."""
+    return np.fft.rfft2(x)
+
+
+def inverse_dft(x_f: Spectrum, size_mn: tuple[int, int]) -> Real:
+    """Inverse of `dft`, with the factor 1/(M*N): (..., M, N//2 + 1) -> (..., M, N)."""
+    return np.fft.irfft2(x_f, s=size_mn)
+
+
+def circular_offsets(size: int) -> Real64:
+    """Signed offsets of DFT order, 0, 1 .. ceil((n-1)/2), -floor((n-1)/2) .. -1: (n,) float64 (spec B4)."""
+    index = np.arange(size)
+    return np.where(index <= size // 2, index, index - size).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class SupportTransform:
+    """DFT of maps that are zero outside a small centred rectangle, and the inverse for that rectangle alone.
+
+    With m x n non-zero samples out of M x N, two small matrix products replace the full transform:
+    `x_f = rows_f @ x @ cols_f`. It is exact, not an approximation.
+    """
+
+    size_mn: tuple[int, int]  # full map (M, N)
+    rows_f: Spectrum  # (M, m): DFT over rows, of the support's rows
+    cols_f: Spectrum  # (n, N//2 + 1): DFT over columns, of the support's columns
+    rows_inv: Spectrum  # (m, M): inverse over rows
+    cols_inv: Real  # (2 * (N//2 + 1), n): inverse over columns of (real, imaginary) pairs, conjugate half added
+
+    @classmethod
+    def centred(cls, size_mn: tuple[int, int], support_mn: tuple[int, int]) -> "SupportTransform":
+        """Transform for a support of (m, n) samples from (M//2 - m//2, N//2 - n//2) on (spec B10)."""
+        (rows, cols), (m, n) = size_mn, support_mn
+        row = rows // 2 - m // 2 + np.arange(m)
+        col = cols // 2 - n // 2 + np.arange(n)
+        row_bin, col_bin = np.arange(rows), np.arange(cols // 2 + 1)
+        rows_f = np.exp(-2j * np.pi / rows * np.outer(row_bin, row))
+        cols_f = np.exp(-2j * np.pi / cols * np.outer(col, col_bin))
+        # every column bin but 0 and (for even N) the last stands for itself and for its conjugate
+        weight = np.where((col_bin == 0) | (2 * col_bin == cols), 1.0, 2.0) / cols
+        cols_inv_f = np.exp(2j * np.pi / cols * np.outer(col_bin, col)) * weight[:, None]
+        pairs = np.stack([cols_inv_f.real, -cols_inv_f.imag], axis=1).reshape(-1, n)
+        return cls(
+            size_mn,
+            rows_f.astype(np.complex64),
+            cols_f.astype(np.complex64),
+            (rows_f.conj().T / rows).astype(np.complex64),
+            pairs.astype(np.float32),
+        )
+
+    def forward(self, x: Real) -> Spectrum:
+        """(C, m, n) samples on the support -> (C, M, N//2 + 1)."""
+        c, m, n = x.shape
+        half = (x.reshape(c * m, n) @ self.cols_f).reshape(c, m, -1)  # (C, m, N//2 + 1)
+        x_f: Spectrum = self.rows_f @ half
+        return x_f
+
+    def inverse(self, x_f: Spectrum) -> Real:
+        """(C, M, N//2 + 1) -> (C, m, n): the inverse DFT, cropped to the support."""
+        c, m = x_f.shape[0], self.rows_inv.shape[0]
+        half = self.rows_inv @ x_f  # (C, m, N//2 + 1), inverse over rows
+        x: Real = half.view(np.float32).reshape(c * m, -1) @ self.cols_inv  # real part of the inverse over columns
+        return x.reshape(c, m, -1)
+
+
+@lru_cache(maxsize=8)
+def _frequency_grid(size_mn: tuple[int, int]) -> tuple[Real64, Real64]:
+    return circular_offsets(size_mn[0]), circular_offsets(size_mn[1])
+
+
+def locate_peak(response: Real) -> tuple[float, float]:
+    """Offset of the maximum of a response map, between the grid points (spec B6).
+
+    Newton's method on the trigonometric interpolation of `response`, from the grid maximum. Where it does
+    not end higher than the grid maximum, or not at a finite point, the grid maximum is returned.
+
+    Parameters
+    ----------
+    response : (M, N) float32, not shifted: offset (0, 0) at index [0, 0].
+
+    Returns
+    -------
+    (row, column) offset in cells, signed, float.
+    """
+    rows, cols = response.shape
+    # column-major first among equals, as the published code has it
+    col, row = np.unravel_index(int(np.argmax(response.T)), (cols, rows))
+    k_r, k_c = _frequency_grid((rows, cols))
+    grid_rc = np.array([k_r[row], k_c[col]])
+    to_rad = 2 * np.pi / np.array([rows, cols])
+
+    response_ff = np.fft.fft2(response.astype(np.float64)) / response.size  # (M, N), full spectrum
+    weights_r = np.stack([np.ones(rows), 1j * k_r, -(k_r**2)])  # value, first and second derivative
+    weights_c = np.stack([np.ones(cols), 1j * k_c, -(k_c**2)], axis=1)
+    angle_rc = grid_rc * to_rad
+    for _ in range(NEWTON_STEPS):
+        moments = _derivatives(response_ff, weights_r, weights_c, angle_rc, k_r, k_c)
+        h_rr, h_cc, h_rc = moments[2, 0], moments[0, 2], moments[1, 1]
+        det = h_rr * h_cc - h_rc * h_rc
+        if det == 0 or not np.isfinite(det):
+            break
+        g_r, g_c = moments[1, 0], moments[0, 1]
+        angle_rc = angle_rc - np.array([h_cc * g_r - h_rc * g_c, h_rr * g_c - h_rc * g_r]) / det
+    value = _derivatives(response_ff, weights_r, weights_c, angle_rc, k_r, k_c)[0, 0]
+    if not value >= response[row, col]:  # also where it is NaN
+        return float(grid_rc[0]), float(grid_rc[1])
+    offset_rc = angle_rc / to_rad
+    return float(offset_rc[0]), float(offset_rc[1])
+
+
+def _derivatives(
+    response_ff: np.ndarray[tuple[int, ...], np.dtype[np.complex128]],
+    weights_r: np.ndarray[tuple[int, ...], np.dtype[np.complex128]],
+    weights_c: np.ndarray[tuple[int, ...], np.dtype[np.complex128]],
+    angle_rc: Real64,
+    k_r: Real64,
+    k_c: Real64,
+) -> Real64:
+    """[i, j]: i-th derivative by row and j-th by column of the interpolated response, (3, 3)."""
+    rows = weights_r * np.exp(1j * angle_rc[0] * k_r)  # (3, M)
+    cols = weights_c * np.exp(1j * angle_rc[1] * k_c)[:, None]  # (N, 3)
+    return np.real(rows @ response_ff @ cols)

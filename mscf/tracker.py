@@ -1,0 +1,242 @@
+"""The MSCF tracker: `init` once, `update` for every further frame."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from mscf.arrays import Image, Probe, Real, Spectrum, no_probe
+from mscf.config import TrackerConfig
+from mscf.errors import BoxError, FrameError, TrackerNotInitialisedError
+from mscf.features.fhog import CELL_PX
+from mscf.features.stack import feature_stack
+from mscf.filter import correlate, learn
+from mscf.geometry import Box, round_half_away
+from mscf.labels import ideal_label
+from mscf.mutation import threat_in_window, threat_of_peaks
+from mscf.plan import Plan, initial_scale
+from mscf.sampling import sample
+from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
+from mscf.spectrum import dft, inverse_dft, locate_peak
+
+MIN_BOX_PX = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrackResult:
+    """What the tracker says of one frame."""
+
+    box: Box  # the target, 0-based px; may reach outside the frame
+    peak: float  # maximum of the response map
+    threat: float  # mutation threat factor, 0 where there is no sub-peak
+    scale: float  # size of the target over its size in the first frame
+    confidence: float  # 0..1
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What the tracker carries from frame to frame; replaced whole."""
+
+    frame_index: int  # 0 for the frame of `init`
+    pos_rc: tuple[float, float]  # centre of the target, px
+    scale: float  # frame pixels per pixel of the resized search patch
+    model_f: Spectrum  # (C, M, N') running mean of samples
+    filter_f: Spectrum  # (C, M, N') g
+    label_f: Spectrum  # (M, N') r
+    scale_filter: ScaleFilter
+
+
+class Tracker:
+    """Mutation sensitive correlation filter (ICRA 2021).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from mscf import Box, Tracker
+    >>> frame = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    >>> tracker = Tracker()
+    >>> tracker.init(frame, Box(x=100, y=80, w=40, h=30))
+    >>> moved = np.roll(frame, (3, 5), axis=(0, 1))
+    >>> box = tracker.update(moved).box
+    >>> round(box.x), round(box.y)
+    (105, 83)
+    """
+
+    def __init__(self, config: TrackerConfig | None = None) -> None:
+        self._config = TrackerConfig() if config is None else config
+        self._started: tuple[Plan, State] | None = None
+
+    def init(self, frame: Image, box: Box, *, probe: Probe = no_probe) -> None:
+        """Learn the target in `box` of `frame`; may be called again for another target.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) BGR or (H, W) uint8.
+        box : 0-based pixels; may reach over the border of the frame.
+        probe : is shown every intermediate array by name.
+
+        Raises
+        ------
+        FrameError
+            If the frame is not such an array.
+        BoxError
+            If the box is not finite, under 4 px wide or high, or wholly outside the frame.
+
+        After an exception the tracker is as it was before.
+        """
+        _check_frame(frame)
+        _check_box(box, frame)
+        is_gray = _is_gray(frame)
+        plan = Plan.make(self._config, frame.shape, box, is_gray=is_gray)
+        frame = _single_channel(frame) if is_gray else frame
+        pos_rc, _ = box.to_pos_size()
+        scale = initial_scale(self._config, box)
+
+        model_f = sample_features(frame, pos_rc, scale, plan, probe=probe, stage="train")
+        height = self._config.pedestal_height if self._config.pedestal_at_start else 0.0
+        ideal_f = dft(ideal_label(plan.gaussian, plan.pedestal, height=height, threat=0.0))
+        probe("ideal_label_f", ideal_f)
+        learned = learn(
+            model_f, ideal_f, plan.gaussian_f, threat=0.0, support=plan.support, cfg=self._config, probe=probe
+        )
+        probe("label_f", learned.label_f)
+        probe("filter_f", learned.g_f)
+        features = scale_features(frame, pos_rc, scale, plan.scale)
+        probe("scale_features_train", features)
+        scale_filter = train_scale(features, None, plan.scale)
+        self._started = plan, State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter)
+
+    def update(self, frame: Image, *, probe: Probe = no_probe) -> TrackResult:
+        """Locate the target in `frame`, then learn from it.
+
+        Parameters
+        ----------
+        frame : of the shape and dtype given to `init`.
+        probe : is shown every intermediate array by name.
+
+        Raises
+        ------
+        TrackerNotInitialisedError
+            Before `init`.
+        FrameError
+            If the frame has another shape or dtype.
+
+        After an exception the tracker is as it was before.
+        """
+        if self._started is None:
+            raise TrackerNotInitialisedError("update was called before init: call init(frame, box) first")
+        plan, state = self._started
+        _check_frame(frame)
+        _check_same_shape(frame, plan)
+        frame = _single_channel(frame) if plan.is_gray else frame
+
+        # LOCALISATION (paper Eq. 16)
+        sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="detect")
+        response = inverse_dft(correlate(state.filter_f, sample_f), plan.grid_mn)  # (M, N)
+        probe("response", response)
+        pos_rc = locate(response, state)
+        # SELECTION (paper Eq. 1, 2)
+        threat = measure_threat(response, self._config, probe)
+        # SCALE (spec B8)
+        features = scale_features(frame, pos_rc, state.scale, plan.scale)
+        probe("scale_features_detect", features)
+        scale = estimate_scale(features, state.scale, state.scale_filter, plan.scale, probe)
+        # TRAINING (paper Eq. 3-15)
+        moved = replace(state, frame_index=state.frame_index + 1, pos_rc=pos_rc, scale=scale)
+        self._started = plan, train(frame, moved, threat, plan, probe)
+
+        box = plan.box_at(pos_rc, scale)
+        peak = float(response.max())
+        return TrackResult(box, peak, threat, scale / initial_scale(self._config, box), 0.0)
+
+
+def sample_features(
+    frame: Image, pos_rc: tuple[float, float], scale: float, plan: Plan, *, probe: Probe, stage: str
+) -> Spectrum:
+    """Windowed features of the search patch around `pos_rc`: (C, M, N') complex64 (spec B2, B3)."""
+    side_px, out_px = plan.patch_side_px(scale), plan.config.sample_side_px
+    patch = sample(
+        frame, nearest_pixel(pos_rc), (side_px, side_px), (out_px, out_px), oversampling=plan.config.oversampling
+    )
+    probe(f"patch_{stage}", patch)
+    features = feature_stack(patch, CELL_PX, plan.color_table)  # (C, M, N)
+    probe(f"features_{stage}", features)
+    return dft(features * plan.window)
+
+
+def nearest_pixel(pos_rc: tuple[float, float]) -> tuple[int, int]:
+    """Pixel a patch is cut around (spec B2; half a pixel goes up, as 1-based coordinates are positive)."""
+    return math.floor(pos_rc[0] + 0.5), math.floor(pos_rc[1] + 0.5)
+
+
+def locate(response: Real, state: State) -> tuple[float, float]:
+    """New centre of the target in px: the patch's centre pixel plus the peak's offset (spec B6)."""
+    offset_rc = locate_peak(response)
+    row, col = nearest_pixel(state.pos_rc)
+    cell_px = CELL_PX * state.scale
+    return row + offset_rc[0] * cell_px, col + offset_rc[1] * cell_px
+
+
+def measure_threat(response: Real, cfg: TrackerConfig, probe: Probe) -> float:
+    """Mutation threat factor of a response map by the configured rule."""
+    rule = threat_in_window if cfg.threat_rule == "window" else threat_of_peaks
+    return rule(response, nu=cfg.threat_nu, delta=cfg.threat_delta, probe=probe)
+
+
+def train(frame: Image, state: State, threat: float, plan: Plan, probe: Probe) -> State:
+    """Learn the target where `state` says it is; each part at its own interval."""
+    cfg = plan.config
+    if state.frame_index % cfg.train_interval == 0:
+        sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="train")
+        rate = np.float32(cfg.learning_rate)
+        model_f = (1 - rate) * state.model_f + rate * sample_f
+        ideal = ideal_label(plan.gaussian, plan.pedestal, height=cfg.pedestal_height, threat=threat)
+        ideal_f = dft(ideal)
+        learned = learn(model_f, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, probe=probe)
+        probe("model_f", model_f)
+        probe("ideal_label_f", ideal_f)
+        probe("label_f", learned.label_f)
+        probe("filter_f", learned.g_f)
+        state = replace(state, model_f=model_f, filter_f=learned.g_f, label_f=learned.label_f)
+    if state.frame_index % cfg.scale_train_interval == 0:
+        features = scale_features(frame, state.pos_rc, state.scale, plan.scale)
+        probe("scale_features_train", features)
+        state = replace(state, scale_filter=train_scale(features, state.scale_filter, plan.scale))
+    return state
+
+
+def _check_frame(frame: Image) -> None:
+    if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8:
+        got = frame.dtype if isinstance(frame, np.ndarray) else type(frame).__name__
+        raise FrameError(f"a frame must be an array of uint8, got {got}: convert with .astype(numpy.uint8)")
+    is_color = frame.ndim == 3 and frame.shape[2] == 3
+    if not (is_color or frame.ndim == 2) or 0 in frame.shape:
+        raise FrameError(f"a frame must have the shape (H, W, 3), BGR, or (H, W), gray, got {frame.shape}")
+
+
+def _check_same_shape(frame: Image, plan: Plan) -> None:
+    if frame.shape != plan.frame_shape:
+        text = f"the frame has the shape {frame.shape}, the one given to init had {plan.frame_shape}"
+        raise FrameError(f"{text}: resize it, or call init again")
+
+
+def _check_box(box: Box, frame: Image) -> None:
+    rows, cols = frame.shape[:2]
+    if not box.is_finite:
+        raise BoxError(f"{box} is not finite: x, y, w and h must be numbers")
+    if box.w < MIN_BOX_PX or box.h < MIN_BOX_PX:
+        raise BoxError(f"{box} is too small: w and h must be at least {MIN_BOX_PX:g} px")
+    if box.overlap_px2(Box(0, 0, cols, rows)) <= 0:
+        raise BoxError(f"{box} is outside the frame: it must overlap x 0..{cols}, y 0..{rows}")
+
+
+def _is_gray(frame: Image) -> bool:
+    """Whether one channel says all. The published code compares R and G only, which blue objects on black would fool."""
+    if frame.ndim == 2:
+        return True
+    return bool((frame[..., 0] == frame[..., 1]).all() and (frame[..., 1] == frame[..., 2]).all())
+
+
+def _single_channel(frame: Image) -> Image:
+    return frame if frame.ndim == 2 else cast(Image, frame[..., 0])
