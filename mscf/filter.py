@@ -60,7 +60,12 @@ def correlate(a_f: Spectrum, b_f: Spectrum) -> Spectrum:
 
 
 def filter_step(
-    state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform, cfg: TrackerConfig
+    state: FilterState,
+    model_f: Spectrum,
+    energy: Real,
+    label_f: Spectrum,
+    support: SupportTransform,
+    cfg: TrackerConfig,
 ) -> FilterState:
     """One ADMM iteration of the filter for a given label: g, h, multiplier, penalty (paper Eq. 7-12, 14, 15).
 
@@ -125,7 +130,8 @@ def closed_form_label(
     ideal = cfg.ideal_weight * (1 + threat**2)
     previous = cfg.previous_weight * (1 - threat**2)
     total = response_f + np.float32(ideal) * ideal_f + np.float32(previous) * previous_f
-    return total / np.float32(1 + ideal + previous)
+    label_f: Spectrum = total / np.float32(1 + ideal + previous)
+    return label_f
 
 
 def learn(
@@ -171,5 +177,3 @@ def learn(
                 label_f = closed_form_label(fit_f, ideal_f, previous_f, threat=threat, cfg=cfg)
     probe("h_final", state.h_sp)
     return Learned(state.g_f, label_f)
-
-

@@ -39,8 +39,9 @@ def sample(
 ) -> Image:
     """`crop` resized to `out_hw` (rows, columns); uint8 as `frame`.
 
-    Bilinear if it enlarges, else area mean, as the published code does. The cost of an area mean grows with the target; with `oversampling` = q the crop is thinned first, to no less than
-    q samples for each pixel of the result along either axis, so that it does not. None keeps every pixel.
+    Bilinear if it enlarges, else area mean, as the published code does. The cost of an area mean grows with
+    the target; with `oversampling` = q the crop is thinned first, to no less than q samples for each pixel of
+    the result along either axis, so that it does not. None keeps every pixel.
     """
     stride = 1
     if oversampling is not None:

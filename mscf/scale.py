@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan
 
 def train_scale(features: Real, before: ScaleFilter | None, plan: ScalePlan) -> ScaleFilter:
     """Learn `features` (K, F); `before` is None in the first frame."""
-    x_f = np.fft.rfft(features, axis=0)  # (K//2 + 1, F)
+    x_f = _dft(features)  # (K//2 + 1, F)
     num_f = plan.label_f[:, None] * x_f.conj()
     den = np.einsum("kf,kf->k", x_f.real, x_f.real) + np.einsum("kf,kf->k", x_f.imag, x_f.imag)
     if before is None:
@@ -94,9 +95,14 @@ def estimate_scale(
     features: Real, scale: float, scale_filter: ScaleFilter, plan: ScalePlan, probe: Probe = no_probe
 ) -> float:
     """Scale factor of the relative scale with the highest response, kept within the plan's limits."""
-    x_f = np.fft.rfft(features, axis=0)
+    x_f = _dft(features)
     total_f = np.einsum("kf,kf->k", scale_filter.num_f, x_f)
     response = np.fft.irfft(total_f / (scale_filter.den + np.float32(plan.config.scale_floor)), n=len(plan.factors))
     probe("scale_response", response)
     best = scale * float(plan.factors[int(np.argmax(response))])
     return min(max(best, plan.limits[0]), plan.limits[1])
+
+
+def _dft(features: Real) -> Spectrum:
+    """Half spectrum over the scales: (K, F) -> (K//2 + 1, F)."""
+    return cast("Spectrum", np.fft.rfft(features, axis=0))

@@ -6,6 +6,7 @@ Layout, fixed for the whole package: channel first, (C, M, N) float32 in space a
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
@@ -16,12 +17,12 @@ NEWTON_STEPS = 5  # spec B6
 
 def dft(x: Real) -> Spectrum:
     """Unnormalised half spectrum over the last two axes: (..., M, N) -> (..., M, N//2 + 1)."""
-    return np.fft.rfft2(x)
+    return cast("Spectrum", np.fft.rfft2(x))  # the stubs say complex128
 
 
 def inverse_dft(x_f: Spectrum, size_mn: tuple[int, int]) -> Real:
     """Inverse of `dft`, with the factor 1/(M*N): (..., M, N//2 + 1) -> (..., M, N)."""
-    return np.fft.irfft2(x_f, s=size_mn)
+    return cast("Real", np.fft.irfft2(x_f, s=size_mn))
 
 
 def circular_offsets(size: int) -> Real64:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from mscf.errors import BoxError, FrameError, TrackerNotInitialisedError
 from mscf.features.fhog import CELL_PX
 from mscf.features.stack import feature_stack
 from mscf.filter import correlate, learn
-from mscf.geometry import Box, round_half_away
+from mscf.geometry import Box
 from mscf.labels import ideal_label
 from mscf.mutation import threat_in_window, threat_of_peaks
 from mscf.plan import Plan, initial_scale
@@ -136,6 +135,7 @@ class Tracker:
         response = inverse_dft(correlate(state.filter_f, sample_f), plan.grid_mn)  # (M, N)
         probe("response", response)
         pos_rc = locate(response, state)
+        probe("pos_rc", np.array(pos_rc))
         # SELECTION (paper Eq. 1, 2)
         threat = measure_threat(response, self._config, probe)
         # SCALE (spec B8)
@@ -191,11 +191,11 @@ def train(frame: Image, state: State, threat: float, plan: Plan, probe: Probe) -
         sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="train")
         rate = np.float32(cfg.learning_rate)
         model_f = (1 - rate) * state.model_f + rate * sample_f
+        probe("model_f", model_f)
         ideal = ideal_label(plan.gaussian, plan.pedestal, height=cfg.pedestal_height, threat=threat)
         ideal_f = dft(ideal)
-        learned = learn(model_f, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, probe=probe)
-        probe("model_f", model_f)
         probe("ideal_label_f", ideal_f)
+        learned = learn(model_f, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, probe=probe)
         probe("label_f", learned.label_f)
         probe("filter_f", learned.g_f)
         state = replace(state, model_f=model_f, filter_f=learned.g_f, label_f=learned.label_f)
@@ -232,11 +232,14 @@ def _check_box(box: Box, frame: Image) -> None:
 
 
 def _is_gray(frame: Image) -> bool:
-    """Whether one channel says all. The published code compares R and G only, which blue objects on black would fool."""
+    """Whether one channel says all.
+
+    Deviation: the published code compares R and G only, which a blue object on black would fool.
+    """
     if frame.ndim == 2:
         return True
     return bool((frame[..., 0] == frame[..., 1]).all() and (frame[..., 1] == frame[..., 2]).all())
 
 
 def _single_channel(frame: Image) -> Image:
-    return frame if frame.ndim == 2 else cast(Image, frame[..., 0])
+    return frame if frame.ndim == 2 else frame[..., 0]

@@ -1,0 +1,1 @@
+"""The application on the vehicle: from camera and track to velocity setpoints."""

@@ -1,0 +1,160 @@
+"""Command `mscf`: demo, eval, bench."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from mscf.bench import run_bench
+from mscf.config import PRESETS
+from mscf.demo import DemoOptions, ProgressStyle, run_demo
+from mscf.errors import MscfError
+from mscf.evaluation.datasets import read_dataset
+from mscf.evaluation.protocol import PROTOCOLS, run_dataset
+from mscf.evaluation.report import print_table
+from mscf.geometry import Box
+from mscf.source import open_source
+
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status: 0, 2 for bad input, 130 for Ctrl-C."""
+    arguments = _parser().parse_args(argv)
+    threadpool_limits(1, "blas")  # the tracker's matrix products are too small to be worth sharing
+    try:
+        return int(arguments.run(arguments))
+    except MscfError as error:
+        print(f"mscf: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="mscf", description="MSCF correlation filter tracker: see it, measure it.")
+    parser.add_argument("--version", action="version", version=f"mscf {version('mscf-companion')}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_demo(commands)
+    _add_eval(commands)
+    _add_bench(commands)
+    return parser
+
+
+def _add_demo(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    demo = commands.add_parser(
+        "demo",
+        help="track a target through a video, images, a camera, or the built-in flight",
+        description="Track a target and show it. Without SOURCE: a built-in synthetic flight with known truth.",
+    )
+    demo.add_argument(
+        "source", nargs="?", metavar="SOURCE", help="video file, folder or glob of images, /dev/videoN or N"
+    )
+    demo.add_argument("--box", type=_box, metavar="X,Y,W,H", help="target in the first frame: pixels, the first is 0,0")
+    demo.add_argument("--preset", choices=PRESETS, default="mscf", help="tracker to run (default: %(default)s)")
+    demo.add_argument(
+        "--compare", choices=PRESETS, action="append", default=[], help="run this one beside it; may be repeated"
+    )
+    demo.add_argument("--save", type=Path, metavar="OUT.mp4", help="video with boxes, response map and threat curve")
+    demo.add_argument(
+        "--boxes", type=Path, metavar="OUT.txt", help="boxes, x,y,w,h a frame, 1-based as ground truth is"
+    )
+    demo.add_argument(
+        "--plot", type=Path, metavar="OUT.png", help="threat, its change, and errors where truth is known"
+    )
+    demo.add_argument("--max-frames", type=_count, metavar="N", help="stop after N frames")
+    demo.add_argument("--no-progress", action="store_true", help="print the results only")
+    demo.set_defaults(run=_demo)
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    style: ProgressStyle = "bar" if sys.stderr.isatty() else "lines"
+    options = DemoOptions(
+        presets=tuple(dict.fromkeys([arguments.preset, *arguments.compare])),
+        box=arguments.box,
+        save=arguments.save,
+        boxes=arguments.boxes,
+        plot=arguments.plot,
+        max_frames=arguments.max_frames,
+        progress="none" if arguments.no_progress else style,
+    )
+    is_complete = run_demo(open_source(arguments.source), options, sys.stderr)
+    return 0 if is_complete else EXIT_INTERRUPTED
+
+
+def _add_eval(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    evaluate = commands.add_parser(
+        "eval",
+        help="accuracy on sequences with ground truth",
+        description="Run trackers over sequences and print precision at 20 px and AUC, mean over runs, then sequences.",
+    )
+    evaluate.add_argument("dataset", type=Path, metavar="DATASET", help="folder of NAME/img/ and NAME/groundtruth.txt")
+    evaluate.add_argument(
+        "--tracker",
+        action="append",
+        metavar="NAME",
+        help="a preset or csrt; may be repeated (default: mscf, reference)",
+    )
+    evaluate.add_argument(
+        "--protocol",
+        choices=PROTOCOLS,
+        default="jitter",
+        help="ope: one run; jitter: the first box and its 8 shifts by 1 px; tre: 5 starts (default: %(default)s)",
+    )
+    evaluate.add_argument("--color-table", type=Path, metavar="NPZ", help="colour names to use in place of our own")
+    evaluate.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default: %(default)s)")
+    evaluate.set_defaults(run=_eval)
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    names = tuple(dict.fromkeys(arguments.tracker or ["mscf", "reference"]))
+    sequences = read_dataset(arguments.dataset)
+    runs = run_dataset(
+        sequences, names, arguments.protocol, color_table=arguments.color_table, jobs=arguments.jobs, log=sys.stderr
+    )
+    print_table(runs, names, arguments.protocol, sys.stdout)
+    return 0
+
+
+def _add_bench(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    bench = commands.add_parser(
+        "bench",
+        help="milliseconds by stage, beside OpenCV's CSRT",
+        description="Measure an update on one thread, by stage, beside OpenCV's CSRT where this cv2 has it.",
+    )
+    bench.add_argument(
+        "source", nargs="?", metavar="SOURCE", help="as for demo, with ground truth (default: built-in flight)"
+    )
+    bench.add_argument("--preset", choices=PRESETS, default="mscf", help="tracker to measure (default: %(default)s)")
+    bench.add_argument("--max-frames", type=_count, default=150, metavar="N", help="frames (default: %(default)s)")
+    bench.add_argument("--json", type=Path, metavar="OUT.json", help="write the figures there too")
+    bench.set_defaults(run=_bench)
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    run_bench(open_source(arguments.source), arguments.preset, arguments.max_frames, sys.stdout, arguments.json)
+    return 0
+
+
+def _box(text: str) -> Box:
+    try:
+        x, y, w, h = (float(word) for word in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a box: give four numbers as X,Y,W,H, e.g. 618,329,53,46"
+        ) from None
+    return Box(x, y, w, h)
+
+
+def _count(text: str) -> int:
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of frames: give a whole number from 1")
+    return count

@@ -1,0 +1,1 @@
+"""Measuring trackers: data sets, metrics and protocols."""

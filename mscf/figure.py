@@ -1,0 +1,70 @@
+"""The paper's Fig. 1 as a plot: threat, its change from frame to frame, and the error where truth is known."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mscf.errors import OutputError
+from mscf.evaluation.metrics import center_errors_px, overlaps
+from mscf.geometry import Box
+
+# one colour a tracker, as in the video
+COLORS = ("#ff5028", "#28a0ff", "#38b838", "#d8b010", "#c85ae6", "#28a8a8")
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What one tracker said of each frame."""
+
+    name: str
+    boxes: Sequence[Box]
+    threats: Sequence[float]
+
+
+def save_figure(path: Path, title: str, tracks: Sequence[Track], truth: Sequence[Box | None]) -> None:
+    """Plot the tracks over time.
+
+    Parameters
+    ----------
+    path : .png, or another suffix Matplotlib writes.
+    truth : true boxes from the first frame on; empty: not known, and no error is plotted.
+
+    Raises
+    ------
+    OutputError
+        If Matplotlib is not installed or the file cannot be written.
+    """
+    try:
+        from matplotlib.figure import Figure  # noqa: PLC0415 - an extra; without --plot nobody needs it
+    except ImportError as error:
+        raise OutputError("a plot needs Matplotlib: pip install 'mscf-companion[plots]'") from error
+    panels = 4 if truth else 2
+    figure = Figure(figsize=(10, 2.3 * panels + 0.6), layout="constrained")
+    axes = figure.subplots(panels, 1, sharex=True)
+    for track, color in zip(tracks, COLORS, strict=False):
+        frame = np.arange(len(track.threats))
+        threat = np.asarray(track.threats)
+        axes[0].plot(frame, threat, color=color, lw=1.2, label=track.name)
+        axes[1].plot(frame[1:], np.abs(np.diff(threat)), color=color, lw=1.0, label=track.name)
+        if truth:
+            known = truth[: len(track.boxes)]
+            boxes = track.boxes[: len(known)]
+            axes[2].plot(frame[: len(known)], center_errors_px(boxes, known), color=color, lw=1.2, label=track.name)
+            axes[3].plot(frame[: len(known)], overlaps(boxes, known), color=color, lw=1.2, label=track.name)
+    axes[0].set(ylabel="mutation threat\nfactor", ylim=(0, None), title=title)
+    axes[1].set(ylabel="change from\nframe to frame", ylim=(0, None))
+    if truth:
+        axes[2].set(ylabel="centre error\n(px)", yscale="symlog")
+        axes[2].axhline(20, color="0.6", lw=0.8, ls="--")
+        axes[3].set(ylabel="overlap (IoU)", ylim=(0, 1))
+    axes[-1].set(xlabel="frame")
+    axes[0].legend(loc="upper right", ncols=len(tracks), frameon=False)
+    for panel in axes:
+        panel.grid(alpha=0.25)
+        panel.spines[["top", "right"]].set_visible(False)
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path} cannot be written: {error}") from error

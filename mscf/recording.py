@@ -1,0 +1,116 @@
+"""Files that a run writes frame by frame; each is complete and usable after whatever ends the run."""
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from mscf.arrays import Image
+from mscf.errors import OutputError
+from mscf.geometry import Box
+
+if TYPE_CHECKING:
+    from av.container import OutputContainer
+    from av.video.stream import VideoStream
+
+
+def check_writable(path: Path) -> None:
+    """Fail now rather than after a long run.
+
+    Raises
+    ------
+    OutputError
+        If no file can be written there. What is there is not touched.
+    """
+    existed = path.exists()
+    try:
+        with path.open("ab"):
+            pass
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror}; give another place") from error
+    if not existed:
+        path.unlink()
+
+
+class BoxFile:
+    """Text file with a box a line: x,y,w,h, 1-based, as ground-truth files of tracking data sets have it."""
+
+    def __init__(self, path: Path) -> None:
+        check_writable(path)
+        self._file = path.open("w", buffering=1)  # a line at a time: nothing tracked is lost
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def write(self, box: Box) -> None:
+        """Append one frame's box."""
+        self._file.write(",".join(f"{value:.2f}" for value in box.to_one_based()) + "\n")
+
+
+class VideoFile:
+    """MP4 with H.264 in 4:2:0, which every browser plays."""
+
+    def __init__(self, path: Path, frames_per_s: float) -> None:
+        """Prepare to write; the file appears with the first frame.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written, is not named .mp4, or PyAV is not installed.
+        """
+        if path.suffix.lower() != ".mp4":
+            raise OutputError(f"{path} is not named .mp4: only MP4 is written")
+        try:
+            import av  # noqa: PLC0415 - an extra; without --save nobody needs it
+        except ImportError as error:
+            raise OutputError("a video needs PyAV: pip install 'mscf-companion[recording]'") from error
+        check_writable(path)
+        self._av = av
+        self._path = path
+        self._rate = Fraction(frames_per_s).limit_denominator(1001)
+        self._container: OutputContainer | None = None
+        self._stream: VideoStream | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, frame: Image) -> None:
+        """Append a frame, (H, W, 3) BGR uint8; all of one size. A last odd row or column is left out.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written any more.
+        """
+        rows, cols = frame.shape[0] // 2 * 2, frame.shape[1] // 2 * 2
+        try:
+            if self._container is None or self._stream is None:
+                self._container = self._av.open(str(self._path), "w", options={"movflags": "+faststart"})
+                self._stream = self._container.add_stream("libx264", rate=self._rate)
+                self._stream.width, self._stream.height, self._stream.pix_fmt = cols, rows, "yuv420p"
+                self._stream.options = {"preset": "veryfast", "crf": "21"}
+            picture = self._av.VideoFrame.from_ndarray(frame[:rows, :cols], format="bgr24")
+            self._container.mux(self._stream.encode(picture))
+        except (OSError, self._av.FFmpegError) as error:
+            raise OutputError(f"{self._path} cannot be written: {error}") from error
+
+    def close(self) -> None:
+        """Finish the file; safe to call twice."""
+        container, stream = self._container, self._stream
+        self._container = self._stream = None
+        if container is None or stream is None:
+            return
+        try:
+            container.mux(stream.encode(None))
+        except (OSError, self._av.FFmpegError) as error:
+            raise OutputError(f"{self._path} cannot be finished: {error}") from error
+        finally:
+            container.close()

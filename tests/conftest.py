@@ -1,0 +1,37 @@
+"""Where the tests find the reference data and sequences that are not part of the project."""
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+
+
+@pytest.fixture(scope="session")
+def reference_dir() -> Path:
+    folder = Path(os.environ.get("MSCF_REFERENCE", SHARED / "reference"))
+    if not folder.is_dir():
+        pytest.skip(f"no reference data: neither $MSCF_REFERENCE nor {SHARED / 'reference'} is there")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def sequences_dir() -> Path:
+    folder = Path(os.environ.get("MSCF_SEQUENCES", SHARED / "sequences"))
+    if not folder.is_dir():
+        pytest.skip(f"no sequences: neither $MSCF_SEQUENCES nor {SHARED / 'sequences'} is there")
+    return folder
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20210607)

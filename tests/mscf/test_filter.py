@@ -1,0 +1,202 @@
+"""Training by construction: each solution is the minimum of the objective it is stated for.
+
+The objectives are quadratic, so a central difference is their directional derivative but for rounding. It is
+compared with the derivative a small step away from the solution: single precision leaves 1e-3 of that.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mscf.arrays import Real, Spectrum
+from mscf.config import TrackerConfig
+from mscf.filter import FilterState, LabelState, closed_form_label, correlate, filter_step, label_split_step, learn
+from mscf.labels import gaussian_label
+from mscf.spectrum import SupportTransform, dft
+
+SIZE = (16, 16)
+CELLS = 256
+SUPPORT = (5, 4)
+CHANNELS = 3
+
+
+@pytest.fixture
+def support() -> SupportTransform:
+    return SupportTransform.centred(SIZE, SUPPORT)
+
+
+@pytest.fixture
+def model_f(rng: np.random.Generator) -> Spectrum:
+    return dft(rng.standard_normal((CHANNELS, *SIZE), dtype=np.float32))
+
+
+@pytest.fixture
+def energy(model_f: Spectrum) -> Real:
+    return np.sum(np.abs(model_f) ** 2, axis=0)
+
+
+@pytest.fixture
+def label_f() -> Spectrum:
+    return dft(gaussian_label(SIZE, sigma_cells=1.0))
+
+
+def slope_ratio(objective: Callable[[Any], float], solution: Any, rng: np.random.Generator) -> float:
+    """Largest directional derivative at `solution`, over that a step of 1 % away in the same direction."""
+    solution = solution.astype(np.result_type(solution.dtype, np.float64))
+    step = 1e-2 * np.abs(solution).max()
+    worst = 0.0
+    for _ in range(12):
+        direction = rng.standard_normal(solution.shape)
+        if np.iscomplexobj(solution):
+            direction = direction + 1j * rng.standard_normal(solution.shape)
+        here = objective(solution + step * direction) - objective(solution - step * direction)
+        there = objective(solution + 2 * step * direction) - objective(solution)
+        worst = max(worst, abs(here / there))
+    return worst
+
+
+@pytest.fixture
+def state(
+    model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> FilterState:
+    """An iterate with everything non-zero: after one step from zero."""
+    cfg = TrackerConfig()
+    return filter_step(FilterState.start(model_f, support, mu=0.1), model_f, energy, label_f, support, cfg)
+
+
+def test_g_minimises_its_sub_problem(
+    rng: np.random.Generator, state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> None:
+    after = filter_step(state, model_f, energy, label_f, support, TrackerConfig())
+
+    def objective(g_f: Any) -> float:  # paper Eq. 8 times T, per bin; u = zeta / mu
+        fit = np.sum(np.abs(label_f - np.sum(model_f.conj() * g_f, axis=0)) ** 2)
+        split = np.sum(np.abs(g_f - state.h_f + state.u_f) ** 2)
+        return float(0.5 * fit + 0.5 * state.mu * CELLS * split)
+
+    assert slope_ratio(objective, after.g_f, rng) < 1e-3
+
+
+def test_g_is_the_solution_of_the_normal_equations_of_a_bin(
+    state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> None:
+    after = filter_step(state, model_f, energy, label_f, support, TrackerConfig())
+    for bin_rc in [(0, 0), (3, 5), (15, 8)]:
+        m = model_f[:, *bin_rc].astype(np.complex128)
+        w = (state.h_f - state.u_f)[:, *bin_rc]
+        matrix = np.outer(m, m.conj()) + CELLS * state.mu * np.eye(CHANNELS)
+        g = np.linalg.solve(matrix, m * label_f[bin_rc] + CELLS * state.mu * w)
+        np.testing.assert_allclose(after.g_f[:, *bin_rc], g, rtol=1e-3, atol=1e-6)
+
+
+def test_h_minimises_its_sub_problem(
+    rng: np.random.Generator, state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> None:
+    cfg = TrackerConfig()
+    after = filter_step(state, model_f, energy, label_f, support, cfg)
+    full = [np.fft.fft2(np.fft.irfft2(x_f, s=SIZE)) for x_f in (after.g_f, state.u_f)]  # all bins
+    top, left = SIZE[0] // 2 - SUPPORT[0] // 2, SIZE[1] // 2 - SUPPORT[1] // 2
+
+    def objective(h: Any) -> float:  # paper Eq. 7, zero outside the support
+        padded = np.zeros((CHANNELS, *SIZE))
+        padded[:, top : top + SUPPORT[0], left : left + SUPPORT[1]] = h
+        split = np.sum(np.abs(full[0] - np.fft.fft2(padded) + full[1]) ** 2)
+        return float(0.5 * cfg.filter_weight * np.sum(h**2) + 0.5 * state.mu * split)
+
+    assert slope_ratio(objective, after.h_sp, rng) < 1e-3
+
+
+def test_the_multiplier_grows_by_the_gap_between_g_and_h(
+    state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> None:
+    after = filter_step(state, model_f, energy, label_f, support, TrackerConfig())
+    multiplier = state.mu * state.u_f + state.mu * (after.g_f - after.h_f)  # paper Eq. 14
+    np.testing.assert_allclose(after.mu * after.u_f, multiplier, rtol=1e-3, atol=1e-4 * np.abs(multiplier).max())
+
+
+def test_the_penalty_grows_to_its_limit(model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform) -> None:
+    cfg = TrackerConfig(penalty=0.1, penalty_growth=10, penalty_max=5)
+    state = FilterState.start(model_f, support, mu=cfg.penalty)
+    penalties = []
+    for _ in range(4):
+        penalties.append(state.mu)
+        state = filter_step(state, model_f, energy, label_f, support, cfg)
+    assert penalties == pytest.approx([0.1, 1, 5, 5])
+
+
+def test_g_and_h_agree_once_the_iterations_have_converged(
+    model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> None:
+    cfg = TrackerConfig(penalty=1.0, penalty_growth=1.0)
+    state = FilterState.start(model_f, support, mu=cfg.penalty)
+    for _ in range(400):
+        state = filter_step(state, model_f, energy, label_f, support, cfg)
+    gap = np.abs(state.g_f - state.h_f).max() / np.abs(state.h_f).max()
+    assert gap < 1e-2
+
+
+@pytest.mark.parametrize("threat", [0.0, 0.4, 1.0])
+def test_r_minimises_its_sub_problem(rng: np.random.Generator, label_f: Spectrum, threat: float) -> None:
+    cfg = TrackerConfig(ideal_weight=2.0, previous_weight=3.0)
+    fit_f, previous_f = (dft(rng.standard_normal(SIZE, dtype=np.float32)) for _ in range(2))
+    r_f = closed_form_label(fit_f, label_f, previous_f, threat=threat, cfg=cfg)
+
+    def objective(r: Any) -> float:  # paper Eq. 13
+        return float(
+            0.5 * np.sum(np.abs(r - fit_f) ** 2)
+            + 0.5 * (1 + threat**2) * cfg.ideal_weight * np.sum(np.abs(label_f - r) ** 2)
+            + 0.5 * (1 - threat**2) * cfg.previous_weight * np.sum(np.abs(r - previous_f) ** 2)
+        )
+
+    assert slope_ratio(objective, r_f, rng) < 1e-3
+
+
+def test_each_variable_of_the_split_label_minimises_its_sub_problem(rng: np.random.Generator, label_f: Spectrum) -> None:
+    cfg = TrackerConfig()
+    fit_f, previous_f, xi_f = (dft(rng.standard_normal(SIZE, dtype=np.float32)) for _ in range(3))
+    before = LabelState(previous_f, xi_f, 27.0)
+    after = label_split_step(before, fit_f, label_f, previous_f, CELLS, cfg)
+    s_f = after.xi_f / 27.0 - before.xi_f / 27.0 + after.r_f  # from the multiplier's update
+
+    def label_objective(r: Any) -> float:
+        return float(
+            0.5 * cfg.ideal_weight * np.sum(np.abs(label_f - r) ** 2)
+            + 0.5 * cfg.previous_weight * np.sum(np.abs(r - previous_f) ** 2)
+            + 0.5 * 27.0 * CELLS * np.sum(np.abs(s_f - r - xi_f / 27.0) ** 2)
+        )
+
+    assert slope_ratio(label_objective, after.r_f, rng) < 1e-3
+
+
+def test_the_label_follows_the_response_when_lambda2_is_small(
+    model_f: Spectrum, label_f: Spectrum, support: SupportTransform
+) -> None:
+    cfg = TrackerConfig(label_rule="joint", iterations=3, ideal_weight=0.0, previous_weight=0.0)
+    learned = learn(model_f, label_f, label_f, threat=0.3, support=support, cfg=cfg)
+    np.testing.assert_allclose(learned.label_f, correlate(model_f, learned.g_f), rtol=1e-4, atol=1e-4)
+
+
+def test_the_label_stays_at_omega_when_lambda2_is_large(
+    rng: np.random.Generator, model_f: Spectrum, label_f: Spectrum, support: SupportTransform
+) -> None:
+    cfg = TrackerConfig(label_rule="joint", iterations=3, ideal_weight=1e7)
+    previous_f = dft(rng.standard_normal(SIZE, dtype=np.float32))
+    learned = learn(model_f, label_f, previous_f, threat=0.3, support=support, cfg=cfg)
+    np.testing.assert_allclose(learned.label_f, label_f, atol=1e-3)
+
+
+def test_a_fixed_label_is_returned_as_it_came(model_f: Spectrum, label_f: Spectrum, support: SupportTransform) -> None:
+    cfg = TrackerConfig.preset("bacf")
+    learned = learn(model_f, label_f, label_f, threat=0.0, support=support, cfg=cfg)
+    np.testing.assert_array_equal(learned.label_f, label_f)
+
+
+@pytest.mark.parametrize("preset", ["reference", "paper", "bacf", "bacf+al", "bacf+ahl", "mscf"])
+def test_an_all_zero_model_gives_finite_numbers(preset: str, label_f: Spectrum, support: SupportTransform) -> None:
+    zero_f = np.zeros((CHANNELS, 16, 9), np.complex64)
+    learned = learn(zero_f, label_f, label_f, threat=0.0, support=support, cfg=TrackerConfig.preset(preset))
+    assert np.isfinite(learned.g_f).all()
+    assert np.isfinite(learned.label_f).all()
+    assert learned.g_f.dtype == learned.label_f.dtype == np.complex64
