@@ -23,6 +23,7 @@ class Plan:
     frame_shape: tuple[int, ...]  # every later frame has this shape
     is_gray: bool  # one channel is looked at, and no colour names
     color_table: Real | None  # (32768, 10)
+    first_scale: float  # scale factor of the first frame: frame pixels per pixel of the resized patch
     base_hw: tuple[float, float]  # size of the target at scale factor 1, px of the resized patch
     grid_mn: tuple[int, int]  # (S, S) cells
     window: Real  # (S, S) Hann
@@ -36,8 +37,8 @@ class Plan:
     def make(cls, cfg: TrackerConfig, frame_shape: tuple[int, ...], box: Box, *, is_gray: bool) -> "Plan":
         """Plan for a target `box` in frames of `frame_shape` (spec B1, B3-B5)."""
         _, size_hw = box.to_pos_size()
-        scale = initial_scale(cfg, box)
-        base_hw = size_hw[0] / scale, size_hw[1] / scale
+        first_scale = math.sqrt(cfg.search_area_ratio * box.w * box.h) / cfg.sample_side_px
+        base_hw = size_hw[0] / first_scale, size_hw[1] / first_scale
         cells = cfg.sample_side_px // CELL_PX
         grid_mn = cells, cells
         # the support cannot exceed the grid, which only very long boxes would
@@ -57,6 +58,7 @@ class Plan:
             frame_shape=frame_shape,
             is_gray=is_gray,
             color_table=None if is_gray else load_table(cfg.color_table),
+            first_scale=first_scale,
             base_hw=base_hw,
             grid_mn=grid_mn,
             window=np.outer(hann, hann),
@@ -74,8 +76,3 @@ class Plan:
     def patch_side_px(self, scale: float) -> int:
         """Side of the square search patch in frame pixels."""
         return max(1, round_half_away(self.config.sample_side_px * scale))
-
-
-def initial_scale(cfg: TrackerConfig, box: Box) -> float:
-    """Scale factor of the first frame: frame pixels per pixel of the resized search patch (spec B1)."""
-    return math.sqrt(cfg.search_area_ratio * box.w * box.h) / cfg.sample_side_px

@@ -14,18 +14,19 @@ def crop(frame: Image, center_rc: tuple[int, int], size_hw: tuple[int, int], *, 
     frame : (H, W) or (H, W, 3) uint8.
     center_rc : 0-based pixel; of an even size, the pixel left and above the middle.
     size_hw : rows and columns to cover, in frame pixels; anywhere, also wholly outside the frame.
-    stride : take each `stride`-th row and column only.
+    stride : take the middle one of each `stride` rows and columns only.
 
     Returns
     -------
-    (ceil(h/stride), ceil(w/stride)[, 3]) uint8; a view of `frame` where the rectangle lies inside it.
+    (ceil((h - stride//2) / stride), likewise[, 3]) uint8; a view of `frame` where the rectangle lies inside it.
     """
     (h, w), (rows, cols) = size_hw, frame.shape[:2]
     top, left = center_rc[0] + 1 - h // 2, center_rc[1] + 1 - w // 2
+    middle = stride // 2
     if top >= 0 and left >= 0 and top + h <= rows and left + w <= cols:
-        return frame[top : top + h : stride, left : left + w : stride]
-    row = np.clip(np.arange(top, top + h, stride), 0, rows - 1)
-    col = np.clip(np.arange(left, left + w, stride), 0, cols - 1)
+        return frame[top + middle : top + h : stride, left + middle : left + w : stride]
+    row = np.clip(np.arange(top + middle, top + h, stride), 0, rows - 1)
+    col = np.clip(np.arange(left + middle, left + w, stride), 0, cols - 1)
     return frame[row[:, None], col]
 
 

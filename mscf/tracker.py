@@ -14,7 +14,7 @@ from mscf.filter import correlate, learn
 from mscf.geometry import Box
 from mscf.labels import ideal_label
 from mscf.mutation import threat_in_window, threat_of_peaks
-from mscf.plan import Plan, initial_scale
+from mscf.plan import Plan
 from mscf.sampling import sample
 from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
 from mscf.spectrum import dft, inverse_dft, locate_peak
@@ -89,8 +89,7 @@ class Tracker:
         is_gray = _is_gray(frame)
         plan = Plan.make(self._config, frame.shape, box, is_gray=is_gray)
         frame = _single_channel(frame) if is_gray else frame
-        pos_rc, _ = box.to_pos_size()
-        scale = initial_scale(self._config, box)
+        pos_rc, scale = box.to_pos_size()[0], plan.first_scale
 
         model_f = sample_features(frame, pos_rc, scale, plan, probe=probe, stage="train")
         height = self._config.pedestal_height if self._config.pedestal_at_start else 0.0
@@ -148,7 +147,7 @@ class Tracker:
 
         box = plan.box_at(pos_rc, scale)
         peak = float(response.max())
-        return TrackResult(box, peak, threat, scale / initial_scale(self._config, box), 0.0)
+        return TrackResult(box, peak, threat, scale / plan.first_scale, 0.0)
 
 
 def sample_features(

@@ -62,7 +62,7 @@ def color_names(patch: Image, cell_px: int, table: Real) -> Real:
     blue, green, red = (np.asarray(plane, np.int32) for plane in cv2.split(patch >> 3))
     index = (((blue << 5) | green) << 5) | red
     names = table.take(index.ravel(), axis=0, mode="clip")  # (H * W, 10); "clip" as it does not check, and none is out
-    # sums over the rows, then the columns of a cell; a product with ones is the fastest sum over a middle axis
+    # sum over the rows, then mean over the columns of a cell; NumPy's own sum over an axis takes thrice as long
     over_rows = np.ones((1, cell_px), np.float32) @ names.reshape(rows, cell_px, -1)  # (M, 1, W * 10)
-    cells = over_rows.reshape(rows, cols, cell_px, -1).sum(axis=2)  # (M, N, 10)
-    return np.ascontiguousarray(cells.transpose(2, 0, 1)) * np.float32(1 / cell_px**2)
+    cells = cv2.resize(over_rows.reshape(rows, cols * cell_px, -1), (cols, rows), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(np.moveaxis(cells, 2, 0), np.float32) / np.float32(cell_px)  # (10, M, N)

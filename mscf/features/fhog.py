@@ -118,14 +118,15 @@ def gradient(patches: Image) -> tuple[npt.NDArray[np.uint8], Real]:
         dx[..., edge] = sign * (planes[..., inner] - planes[..., edge])
     dx_float, dy_float = dx.astype(np.float32), dy.astype(np.float32)
     squared = dx_float * dx_float + dy_float * dy_float  # exact: whole numbers below 2^24
-    strongest, dx_best, dy_best = squared[0], dx[0], dy[0]
+    shape = batch * rows, cols
+    strongest, dx_best, dy_best = squared[0], dx[0].reshape(shape), dy[0].reshape(shape)
     for plane in range(1, len(planes)):
-        is_stronger = squared[plane] > strongest
+        is_stronger = (squared[plane] > strongest).view(np.uint8).reshape(shape)
         strongest = np.maximum(strongest, squared[plane])
-        dx_best = np.where(is_stronger, dx[plane], dx_best)
-        dy_best = np.where(is_stronger, dy[plane], dy_best)
+        cv2.copyTo(dx[plane].reshape(shape), is_stronger, dx_best)
+        cv2.copyTo(dy[plane].reshape(shape), is_stronger, dy_best)
     code = dy_best.astype(np.int32) * _SPAN + dx_best + (_REACH * _SPAN + _REACH)
-    return _orientation_bins().take(code), np.sqrt(strongest)
+    return _orientation_bins().take(code.reshape(batch, rows, cols)), np.sqrt(strongest)
 
 
 def normalise(cells: Real) -> Real:
@@ -135,7 +136,7 @@ def normalise(cells: Real) -> Real:
     energies = np.empty((batch, oriented, rows, cols), np.float32)
     energies[:, :SIGNED_BINS] = cells
     unsigned = np.add(cells[:, :UNSIGNED_BINS], cells[:, UNSIGNED_BINS:], out=energies[:, SIGNED_BINS:])
-    gain = 1 / np.sqrt(_block_sums(np.einsum("bkmn,bkmn->bmn", unsigned, unsigned)) + NORM_FLOOR)
+    gain = 1 / np.sqrt(_block_sums((unsigned * unsigned).sum(axis=1)) + NORM_FLOOR)
     features = np.zeros((batch, CHANNELS, rows, cols), np.float32)
     clipped = np.empty_like(energies)
     every_signed_bin = np.full((1, SIGNED_BINS), TEXTURE_WEIGHT)
@@ -154,9 +155,10 @@ def _block_sums(energy: Real) -> Real:
 
     Blocks that would reach over the border repeat the nearest one inside.
     """
-    rows, cols = energy.shape[1:]
-    row = np.clip(np.arange(rows + 1), 1, max(rows - 1, 1))
-    col = np.clip(np.arange(cols + 1), 1, max(cols - 1, 1))
-    below, right = np.minimum(row, rows - 1), np.minimum(col, cols - 1)
-    by_row = energy[:, row - 1] + energy[:, below]
-    return by_row[:, :, col - 1] + by_row[:, :, right]
+    # one cell alone is its own neighbour
+    lower, right = max(energy.shape[1] - 1, 1), max(energy.shape[2] - 1, 1)
+    by_row = energy[:, :lower] + energy[:, -lower:]
+    inside = by_row[:, :, :right] + by_row[:, :, -right:]  # (B, M - 1, N - 1)
+    row = np.clip(np.arange(energy.shape[1] + 1) - 1, 0, lower - 1)
+    col = np.clip(np.arange(energy.shape[2] + 1) - 1, 0, right - 1)
+    return inside.take(row, axis=1).take(col, axis=2)

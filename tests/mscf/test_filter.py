@@ -58,16 +58,19 @@ def slope_ratio(objective: Callable[[Any], float], solution: Any, rng: np.random
 
 
 @pytest.fixture
-def state(
-    model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
-) -> FilterState:
+def state(model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform) -> FilterState:
     """An iterate with everything non-zero: after one step from zero."""
     cfg = TrackerConfig()
     return filter_step(FilterState.start(model_f, support, mu=0.1), model_f, energy, label_f, support, cfg)
 
 
 def test_g_minimises_its_sub_problem(
-    rng: np.random.Generator, state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+    rng: np.random.Generator,
+    state: FilterState,
+    model_f: Spectrum,
+    energy: Real,
+    label_f: Spectrum,
+    support: SupportTransform,
 ) -> None:
     after = filter_step(state, model_f, energy, label_f, support, TrackerConfig())
 
@@ -92,7 +95,12 @@ def test_g_is_the_solution_of_the_normal_equations_of_a_bin(
 
 
 def test_h_minimises_its_sub_problem(
-    rng: np.random.Generator, state: FilterState, model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+    rng: np.random.Generator,
+    state: FilterState,
+    model_f: Spectrum,
+    energy: Real,
+    label_f: Spectrum,
+    support: SupportTransform,
 ) -> None:
     cfg = TrackerConfig()
     after = filter_step(state, model_f, energy, label_f, support, cfg)
@@ -116,7 +124,9 @@ def test_the_multiplier_grows_by_the_gap_between_g_and_h(
     np.testing.assert_allclose(after.mu * after.u_f, multiplier, rtol=1e-3, atol=1e-4 * np.abs(multiplier).max())
 
 
-def test_the_penalty_grows_to_its_limit(model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform) -> None:
+def test_the_penalty_grows_to_its_limit(
+    model_f: Spectrum, energy: Real, label_f: Spectrum, support: SupportTransform
+) -> None:
     cfg = TrackerConfig(penalty=0.1, penalty_growth=10, penalty_max=5)
     state = FilterState.start(model_f, support, mu=cfg.penalty)
     penalties = []
@@ -153,7 +163,9 @@ def test_r_minimises_its_sub_problem(rng: np.random.Generator, label_f: Spectrum
     assert slope_ratio(objective, r_f, rng) < 1e-3
 
 
-def test_each_variable_of_the_split_label_minimises_its_sub_problem(rng: np.random.Generator, label_f: Spectrum) -> None:
+def test_each_variable_of_the_split_label_minimises_its_sub_problem(
+    rng: np.random.Generator, label_f: Spectrum
+) -> None:
     cfg = TrackerConfig()
     fit_f, previous_f, xi_f = (dft(rng.standard_normal(SIZE, dtype=np.float32)) for _ in range(3))
     before = LabelState(previous_f, xi_f, 27.0)

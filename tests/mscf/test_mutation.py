@@ -11,7 +11,9 @@ def expected(ratio: float, distance: float, nu: float = 1.0, delta: float = 0.01
     return ratio * nu / (1 + delta * math.exp(distance))
 
 
-def planted(main: tuple[int, int], sub: tuple[int, int], height: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def planted(
+    main: tuple[int, int], sub: tuple[int, int], height: float
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     response = np.zeros((50, 50), np.float32)
     response[main] = 0.08
     response[(main[0] + sub[0]) % 50, (main[1] + sub[1]) % 50] = 0.08 * height

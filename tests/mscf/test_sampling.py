@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -41,10 +42,8 @@ def test_a_sample_never_shares_memory_that_a_later_frame_would_change(
     assert patch.any()
 
 
-@pytest.mark.parametrize("side", [8, 64, 150, 333, 1000])
+@pytest.mark.parametrize("side", [8, 64, 150, 333, 700])
 def test_thinning_keeps_the_size_and_nearly_the_picture(rng: np.random.Generator, side: int) -> None:
-    import cv2
-
     coarse = rng.integers(0, 256, (12, 12, 3), dtype=np.uint8)
     frame = np.asarray(cv2.resize(coarse, (1200, 1200), interpolation=cv2.INTER_CUBIC), np.uint8)
     exact = sample(frame, (600, 600), (side, side), (32, 32), oversampling=None)

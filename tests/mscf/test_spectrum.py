@@ -45,11 +45,11 @@ def bump(row: float, col: float, size: int = 50) -> Real:
     return np.outer(around(row), around(col)).astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    ("row", "col"), [(0, 0), (0.3, -0.4), (3.25, -7.5), (-24.4, 20.1), (0.5, 0.5), (24.9, -24.9)]
-)
+@pytest.mark.parametrize(("row", "col"), [(0, 0), (0.3, -0.4), (3.25, -7.5), (-24.4, 20.1), (0.5, 0.5), (24.9, -24.9)])
 def test_a_peak_between_the_cells_is_recovered(row: float, col: float) -> None:
-    assert locate_peak(bump(row, col)) == pytest.approx((row, col), abs=1e-3)
+    found = np.array(locate_peak(bump(row, col)))
+    error = (found - (row, col) + 25) % 50 - 25  # the map is circular
+    np.testing.assert_allclose(error, 0, atol=1e-3)
 
 
 def test_a_flat_response_leaves_the_target_where_it_is() -> None:

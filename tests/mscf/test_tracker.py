@@ -1,0 +1,313 @@
+"""The tracker's promises: it follows by construction, keeps finite, and survives what it refuses."""
+
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from mscf import PRESETS, Box, BoxError, FrameError, Tracker, TrackerConfig, TrackerNotInitialisedError
+from mscf.arrays import Image
+
+BOX = Box(140, 100, 40, 30)
+
+
+def textured(rng: np.random.Generator, rows: int, cols: int) -> Image:
+    coarse = rng.integers(0, 256, (max(rows // 6, 2), max(cols // 6, 2), 3), dtype=np.uint8)
+    return np.asarray(cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_CUBIC), np.uint8)
+
+
+@pytest.fixture
+def frame(rng: np.random.Generator) -> Image:
+    return textured(rng, 240, 320)
+
+
+def placed(target: Image, ground: Image, x: int, y: int) -> Image:
+    """A target on a still ground."""
+    picture = ground.copy()
+    picture[y : y + target.shape[0], x : x + target.shape[1]] = target
+    return picture
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_follows_a_target_over_a_still_ground(rng: np.random.Generator, preset: str) -> None:
+    ground, target = textured(rng, 240, 320) // 3, textured(rng, 30, 40)
+    tracker = Tracker(TrackerConfig.preset(preset))
+    tracker.init(placed(target, ground, 140, 100), BOX)
+    for step in range(1, 13):
+        x, y = 140 + 4 * step, 100 - 3 * step
+        result = tracker.update(placed(target, ground, x, y))
+        assert np.hypot(result.box.x - x, result.box.y - y) < 4
+    assert result.box.iou(Box(188, 64, 40, 30)) > 0.7
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (7, -5), (-11, 9), (20, 0)])
+def test_a_shifted_frame_shifts_the_box(frame: Image, shift: tuple[int, int]) -> None:
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    box = tracker.update(np.roll(frame, shift[::-1], axis=(0, 1))).box
+    assert (box.x, box.y) == pytest.approx((BOX.x + shift[0], BOX.y + shift[1]), abs=0.7)
+
+
+def test_a_target_that_grows_is_reported_larger(frame: Image) -> None:
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    row, col = BOX.to_pos_size()[0]
+    for step in range(1, 16):
+        factor = 1.02**step
+        matrix = np.array([[factor, 0, col * (1 - factor)], [0, factor, row * (1 - factor)]])
+        result = tracker.update(np.asarray(cv2.warpAffine(frame, matrix, (320, 240)), np.uint8))
+    assert result.scale == pytest.approx(1.02**15, rel=0.06)
+    assert result.box.w / BOX.w == pytest.approx(result.scale)
+
+
+def test_equal_runs_give_equal_results(frame: Image) -> None:
+    moved = np.roll(frame, 3, axis=1)
+    results = []
+    for _ in range(2):
+        tracker = Tracker()
+        tracker.init(frame, BOX)
+        results.append(tracker.update(moved))
+    assert results[0] == results[1]
+
+
+def test_a_gray_frame_and_its_colour_copy_are_tracked_alike(frame: Image) -> None:
+    gray = np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
+    moved = np.roll(gray, (2, 5), axis=(0, 1))
+    one, other = Tracker(), Tracker()
+    one.init(gray, BOX)
+    other.init(np.repeat(gray[..., None], 3, axis=2), BOX)
+    assert one.update(moved) == other.update(np.repeat(moved[..., None], 3, axis=2))
+
+
+def test_gray_input_drops_the_colour_names(frame: Image) -> None:
+    seen: dict[str, Any] = {}
+    Tracker().init(frame, BOX, probe=seen.__setitem__)
+    assert seen["features_train"].shape[0] == 42
+    Tracker().init(np.ascontiguousarray(frame[..., 1]), BOX, probe=seen.__setitem__)
+    assert seen["features_train"].shape[0] == 32
+
+
+def test_the_probe_sees_every_stage_and_changes_nothing(frame: Image) -> None:
+    moved = np.roll(frame, 4, axis=0)
+    plain, probed = Tracker(), Tracker()
+    seen: dict[str, Any] = {}
+    plain.init(frame, BOX)
+    probed.init(frame, BOX, probe=seen.__setitem__)
+    assert probed.update(moved, probe=seen.__setitem__) == plain.update(moved)
+    assert {"patch_detect", "features_detect", "response", "pos_rc", "threat_window", "threat_maxima"} <= set(seen)
+    assert {"scale_features_detect", "scale_response", "label_f", "filter_f", "ideal_label_f"} <= set(seen)
+    assert seen["response"].shape == (50, 50)
+    assert seen["filter_f"].shape == (42, 50, 26)
+
+
+def test_a_result_is_frozen_and_stays_when_the_tracker_goes_on(frame: Image) -> None:
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    result = tracker.update(frame)
+    copy = Box(result.box.x, result.box.y, result.box.w, result.box.h)
+    tracker.update(np.roll(frame, 9, axis=1))
+    assert result.box == copy
+    with pytest.raises(FrozenInstanceError):
+        result.peak = 1.0  # type: ignore[misc]
+
+
+def test_the_frame_is_not_changed_and_not_kept(frame: Image) -> None:
+    before = frame.copy()
+    one, other = Tracker(), Tracker()
+    one.init(frame, BOX)
+    one.update(frame)
+    np.testing.assert_array_equal(frame, before)
+    kept = frame.copy()
+    other.init(kept, BOX)
+    other.update(kept)
+    kept[:] = 0  # what the caller does with its buffer afterwards is of no account
+    assert one.update(frame) == other.update(frame)
+
+
+# --- targets and frames at the edge of what makes sense: finite numbers, no exception ---------------------------------
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(
+    ("box", "why"),
+    [
+        (Box(-20, -15, 40, 30), "partly outside at the top left"),
+        (Box(300, 225, 40, 30), "partly outside at the bottom right"),
+        (Box(150, 110, 6, 6), "6 px"),
+        (Box(150, 110, 4, 4), "the smallest"),
+        (Box(-100, -100, 700, 500), "larger than the frame"),
+        (Box(10, 100, 300, 4), "very long"),
+        (Box(100.25, 80.75, 33.3, 21.9), "fractions of a pixel"),
+    ],
+)
+def test_any_box_that_is_accepted_is_tracked_with_finite_numbers(frame: Image, preset: str, box: Box, why: str) -> None:
+    tracker = Tracker(TrackerConfig.preset(preset))
+    tracker.init(frame, box)
+    for shift in range(1, 5):
+        result = tracker.update(np.roll(frame, (shift, -shift), axis=(0, 1)))
+        assert result.box.is_finite, why
+        assert np.isfinite([result.peak, result.threat, result.scale, result.confidence]).all(), why
+        assert 0 <= result.confidence <= 1
+        assert result.box.w > 0
+        assert result.box.h > 0
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(
+    "make", [lambda s: np.full(s, 128, np.uint8), lambda s: np.zeros(s, np.uint8), lambda s: np.full(s, 255, np.uint8)]
+)
+@pytest.mark.parametrize("shape", [(240, 320, 3), (240, 320)])
+def test_constant_frames_leave_the_target_where_it_is(
+    preset: str, make: Callable[[tuple[int, ...]], Image], shape: tuple[int, ...]
+) -> None:
+    tracker = Tracker(TrackerConfig.preset(preset))
+    tracker.init(make(shape), BOX)
+    for _ in range(3):
+        result = tracker.update(make(shape))
+        assert result.box.is_finite
+        assert np.isfinite([result.peak, result.threat, result.scale]).all()
+        assert abs(result.box.center_xy[0] - BOX.center_xy[0]) < 20
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_target_that_goes_black_and_comes_back_keeps_the_numbers_finite(frame: Image, preset: str) -> None:
+    tracker = Tracker(TrackerConfig.preset(preset))
+    tracker.init(frame, BOX)
+    for picture in (np.zeros_like(frame), np.full_like(frame, 255), frame, np.zeros_like(frame), frame):
+        result = tracker.update(picture)
+        assert result.box.is_finite
+        assert np.isfinite([result.peak, result.threat, result.scale, result.confidence]).all()
+
+
+def test_saturated_noise_keeps_the_numbers_finite(rng: np.random.Generator) -> None:
+    tracker = Tracker()
+    extremes = np.array([0, 255], np.uint8)
+    tracker.init(rng.choice(extremes, (120, 160, 3)), Box(60, 40, 30, 30))
+    for _ in range(20):
+        assert tracker.update(rng.choice(extremes, (120, 160, 3))).box.is_finite
+
+
+def test_a_target_that_leaves_the_frame_keeps_the_numbers_finite(rng: np.random.Generator) -> None:
+    ground, target = textured(rng, 240, 320) // 3, textured(rng, 30, 40)
+    tracker = Tracker()
+    tracker.init(placed(target, ground, 260, 100), Box(260, 100, 40, 30))
+    wide = np.zeros((240, 420, 3), np.uint8)
+    wide[:, :320] = ground
+    for step in range(1, 25):
+        picture = placed(target, wide, 260 + 4 * step, 100)[:, :320]
+        assert tracker.update(np.ascontiguousarray(picture)).box.is_finite
+
+
+def test_frames_of_odd_and_tiny_size_are_tracked(rng: np.random.Generator) -> None:
+    for rows, cols in [(5, 5), (17, 333), (241, 319)]:
+        frame = textured(rng, rows, cols)
+        tracker = Tracker()
+        tracker.init(frame, Box(0, 0, 5, 5))
+        assert tracker.update(frame).box.is_finite
+
+
+def test_a_frame_may_be_a_view_with_strides(frame: Image) -> None:
+    tracker, other = Tracker(), Tracker()
+    view = frame[::2, ::2]
+    tracker.init(view, Box(70, 50, 20, 15))
+    other.init(np.ascontiguousarray(view), Box(70, 50, 20, 15))
+    assert tracker.update(view) == other.update(np.ascontiguousarray(view))
+
+
+# --- what is refused ---------------------------------------------------------------------------------------------------
+
+
+def test_update_before_init_says_what_to_do(frame: Image) -> None:
+    with pytest.raises(TrackerNotInitialisedError, match=r"call init\(frame, box\) first"):
+        Tracker().update(frame)
+
+
+BAD_FRAMES = [
+    (np.zeros((10, 10, 3), np.float32), "uint8, got float32"),
+    ([[1, 2]], "uint8, got list"),
+    (None, "uint8, got NoneType"),
+    (np.zeros((10, 10, 4), np.uint8), r"\(10, 10, 4\)"),
+    (np.zeros((10,), np.uint8), r"\(10,\)"),
+    (np.zeros((0, 10, 3), np.uint8), r"\(0, 10, 3\)"),
+]
+BAD_BOXES = [
+    (Box(10, 10, 0, 20), "too small"),
+    (Box(10, 10, 20, -5), "too small"),
+    (Box(10, 10, 3.9, 20), "at least 4 px"),
+    (Box(float("nan"), 10, 20, 20), "not finite"),
+    (Box(10, float("inf"), 20, 20), "not finite"),
+    (Box(320, 10, 20, 20), "outside the frame"),
+    (Box(-20, 10, 20, 20), "outside the frame"),
+    (Box(10, 240, 20, 20), r"must overlap x 0\.\.320, y 0\.\.240"),
+]
+
+
+@pytest.mark.parametrize(("bad", "text"), BAD_FRAMES)
+def test_a_frame_of_the_wrong_kind_is_refused(frame: Image, bad: Any, text: str) -> None:
+    with pytest.raises(FrameError, match=text):
+        Tracker().init(bad, BOX)
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    with pytest.raises(FrameError, match=text):
+        tracker.update(bad)
+
+
+@pytest.mark.parametrize(("box", "text"), BAD_BOXES)
+def test_a_box_that_cannot_be_tracked_is_refused(frame: Image, box: Box, text: str) -> None:
+    with pytest.raises(BoxError, match=text):
+        Tracker().init(frame, box)
+
+
+def test_a_frame_whose_size_changed_is_refused(frame: Image) -> None:
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    for other in (frame[:-1], np.ascontiguousarray(frame[..., 0])):
+        with pytest.raises(FrameError, match="the one given to init had"):
+            tracker.update(other)
+
+
+def test_an_exception_leaves_the_tracker_as_it_was(frame: Image) -> None:
+    tracker, untouched = Tracker(), Tracker()
+    for each in (tracker, untouched):
+        each.init(frame, BOX)
+    for call in (
+        lambda: tracker.update(frame[:-1]),
+        lambda: tracker.update(frame.astype(np.float32)),  # type: ignore[arg-type]
+        lambda: tracker.init(frame, Box(0, 0, 1, 1)),
+    ):
+        with pytest.raises((FrameError, BoxError)):
+            call()
+    moved = np.roll(frame, 6, axis=1)
+    assert tracker.update(moved) == untouched.update(moved)
+
+
+def test_a_probe_that_raises_leaves_the_tracker_as_it_was(frame: Image) -> None:
+    tracker, untouched = Tracker(), Tracker()
+    for each in (tracker, untouched):
+        each.init(frame, BOX)
+
+    def explode(name: str, _array: Any) -> None:
+        if name == "filter_f":
+            raise RuntimeError("late in the update")
+
+    moved = np.roll(frame, 6, axis=1)
+    for _ in range(2):  # whether or not this update trains
+        try:
+            tracker.update(moved, probe=explode)
+        except RuntimeError:
+            break
+        untouched.update(moved)
+    assert tracker.update(moved) == untouched.update(moved)
+
+
+def test_init_may_be_called_again_for_another_target(frame: Image) -> None:
+    again, fresh = Tracker(), Tracker()
+    again.init(frame, BOX)
+    again.update(np.roll(frame, 5, axis=0))
+    other = Box(40, 60, 25, 35)
+    again.init(frame, other)
+    fresh.init(frame, other)
+    assert again.update(frame) == fresh.update(frame)
