@@ -158,7 +158,7 @@ def _block_sums(energy: Real) -> Real:
     # one cell alone is its own neighbour
     lower, right = max(energy.shape[1] - 1, 1), max(energy.shape[2] - 1, 1)
     by_row = energy[:, :lower] + energy[:, -lower:]
-    inside = by_row[:, :, :right] + by_row[:, :, -right:]  # (B, M - 1, N - 1)
+    inside: Real = by_row[:, :, :right] + by_row[:, :, -right:]  # (B, M - 1, N - 1)
     row = np.clip(np.arange(energy.shape[1] + 1) - 1, 0, lower - 1)
     col = np.clip(np.arange(energy.shape[2] + 1) - 1, 0, right - 1)
-    return inside.take(row, axis=1).take(col, axis=2)
+    return np.asarray(inside.take(row, axis=1).take(col, axis=2), np.float32)

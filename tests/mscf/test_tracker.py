@@ -127,7 +127,7 @@ def test_the_frame_is_not_changed_and_not_kept(frame: Image) -> None:
     assert one.update(frame) == other.update(frame)
 
 
-# --- targets and frames at the edge of what makes sense: finite numbers, no exception ---------------------------------
+# --- targets and frames at the edge of what makes sense ---
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -217,7 +217,7 @@ def test_a_frame_may_be_a_view_with_strides(frame: Image) -> None:
     assert tracker.update(view) == other.update(np.ascontiguousarray(view))
 
 
-# --- what is refused ---------------------------------------------------------------------------------------------------
+# --- what is refused ---
 
 
 def test_update_before_init_says_what_to_do(frame: Image) -> None:
