@@ -82,7 +82,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         max_frames=arguments.max_frames,
         progress="none" if arguments.no_progress else style,
     )
-    is_complete = run_demo(open_source(arguments.source), options, sys.stderr)
+    is_complete = run_demo(open_source(arguments.source), options, sys.stdout, sys.stderr)
     return 0 if is_complete else EXIT_INTERRUPTED
 
 

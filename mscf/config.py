@@ -29,6 +29,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "threat_delta": (0, 1),
     "learning_rate": (0, 1),
     "train_interval": (1, 100),
+    "training_floor": (0, 1),
     "iterations": (1, 20),
     "penalty": (1e-6, 1e6),
     "penalty_growth": (1, 1000),
@@ -83,6 +84,7 @@ class TrackerConfig:
     # training (paper IV-A; spec B10)
     learning_rate: float = 0.0158  # of the model, per training
     train_interval: int = 1  # frames from one training to the next
+    training_floor: float = 0.0  # no training where the peak is below this share of its running mean
     iterations: int = 2  # ADMM iterations; of rule "split" in each of its three loops
     penalty: float = 0.1  # mu of the first iteration
     penalty_growth: float = 10.0  # beta, of mu and gamma

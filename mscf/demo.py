@@ -1,5 +1,6 @@
 """`mscf demo`: track a target through a source of frames, and show it."""
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -11,12 +12,13 @@ from typing import Any, Literal, Self, TextIO
 import numpy.typing as npt
 from tqdm import tqdm
 
-from mscf.arrays import Image, Probe, Real, no_probe
+from mscf.arrays import Image, Real
 from mscf.config import TrackerConfig
 from mscf.errors import FrameError, SourceError
 from mscf.evaluation.metrics import score
 from mscf.figure import Track, save_figure
 from mscf.geometry import Box
+from mscf.mutation import threat_of_peaks
 from mscf.overlay import Shown, draw
 from mscf.recording import BoxFile, VideoFile, check_writable
 from mscf.source import Source
@@ -48,34 +50,42 @@ class _Contestant:
     name: str
     tracker: Tracker
     boxes: list[Box] = field(default_factory=list)
-    threats: list[float] = field(default_factory=list)
+    threats: list[float] = field(default_factory=list)  # by the paper's rule, so that presets can be compared
     update_ms: list[float] = field(default_factory=list)
+    response: Real | None = None  # of the last update
 
     def start(self, frame: Image, box: Box) -> None:
         self.tracker.init(frame, box)
         self.boxes.append(box)
-        self.threats.append(0.0)
+        self.threats.append(math.nan)
 
-    def follow(self, frame: Image, probe: Probe) -> None:
+    def follow(self, frame: Image) -> None:
         begin_s = time.perf_counter()
-        result = self.tracker.update(frame, probe=probe)
+        result = self.tracker.update(frame, probe=self._keep_response)
         self.update_ms.append((time.perf_counter() - begin_s) * 1e3)
         self.boxes.append(result.box)
-        self.threats.append(result.threat)
+        assert self.response is not None  # every update shows it
+        cfg = self.tracker.config
+        self.threats.append(threat_of_peaks(self.response, nu=cfg.threat_nu, delta=cfg.threat_delta))
+
+    def _keep_response(self, name: str, array: npt.NDArray[Any], /) -> None:
+        if name == "response":
+            self.response = array
 
     @property
     def updates_per_s(self) -> float:
         return 1e3 / median(self.update_ms[-RATE_FRAMES:]) if self.update_ms else 0.0
 
 
-def run_demo(source: Source, options: DemoOptions, out: TextIO) -> bool:
+def run_demo(source: Source, options: DemoOptions, out: TextIO, log: TextIO) -> bool:
     """Track through `source` and write what was asked for.
 
     Whatever ends the run - the last frame, Ctrl-C, a broken frame - the files hold all frames tracked so far.
 
     Parameters
     ----------
-    out : is told the progress and, at the end, the results.
+    out : is told the results at the end.
+    log : is told the progress.
 
     Returns
     -------
@@ -95,7 +105,7 @@ def run_demo(source: Source, options: DemoOptions, out: TextIO) -> bool:
         with ExitStack() as files:
             boxes_out = files.enter_context(BoxFile(options.boxes)) if options.boxes else None
             video = files.enter_context(VideoFile(options.save, source.frames_per_s)) if options.save else None
-            progress = files.enter_context(_Progress(source, options, out))
+            progress = files.enter_context(_Progress(source, options, log))
             frames = iter(source)
             try:
                 _track(frames, box, contestants, source, options, boxes_out, video, progress)
@@ -118,12 +128,6 @@ def _track(
     progress: "_Progress",
 ) -> None:
     leader = contestants[0]
-    response: list[Real] = []
-
-    def keep_response(name: str, array: npt.NDArray[Any]) -> None:
-        if name == "response":
-            response[:] = [array]
-
     for index, frame in enumerate(frames):
         if options.max_frames is not None and index >= options.max_frames:
             break
@@ -132,26 +136,29 @@ def _track(
                 if index == 0:
                     contestant.start(frame, box)
                 else:
-                    contestant.follow(frame, keep_response if contestant is leader else no_probe)
+                    contestant.follow(frame)
         except FrameError as error:
             raise SourceError(f"{source.name}, frame {index + 1}: {error}") from error
         if boxes_out is not None:
             boxes_out.write(leader.boxes[-1])
         if video is not None:
-            video.write(_picture(frame, index, contestants, response, source))
+            video.write(_picture(frame, index, contestants, source))
         progress.advance(leader.updates_per_s)
     if not leader.boxes:
         raise SourceError(f"{source.name} holds no frame")
 
 
-def _picture(
-    frame: Image, index: int, contestants: Sequence[_Contestant], response: Sequence[Real], source: Source
-) -> Image:
-    shown = [Shown(c.name, c.boxes[-1], c.threats) for c in contestants]
-    rate = contestants[0].updates_per_s
+def _picture(frame: Image, index: int, contestants: Sequence[_Contestant], source: Source) -> Image:
+    leader = contestants[0]
+    rate = leader.updates_per_s
     caption = f"{source.name}  frame {index + 1}" + (f"  {rate:.0f} frames/s" if rate else "")
-    truth = source.truth[index] if index < len(source.truth) else None
-    return draw(frame, shown, response=response[0] if response else None, truth=truth, caption=caption)
+    return draw(
+        frame,
+        [Shown(c.name, c.boxes[-1], c.threats) for c in contestants],
+        response=leader.response,
+        truth=source.truth[index] if index < len(source.truth) else None,
+        caption=caption,
+    )
 
 
 def _first_truth(source: Source) -> Box:
@@ -182,14 +189,14 @@ def _report(source: Source, options: DemoOptions, contestants: Sequence[_Contest
 class _Progress:
     """A bar on a terminal, plain lines elsewhere."""
 
-    def __init__(self, source: Source, options: DemoOptions, out: TextIO) -> None:
+    def __init__(self, source: Source, options: DemoOptions, log: TextIO) -> None:
         limits = [limit for limit in (source.frame_count, options.max_frames) if limit is not None]
         self._total = min(limits) if limits else None
-        self._out = out
+        self._log = log
         self._done = 0
         self._next_line_s = time.monotonic() + LINE_EVERY_S
         is_bar = options.progress == "bar"
-        self._bar = tqdm(total=self._total, unit=" frames", file=out, leave=False) if is_bar else None
+        self._bar = tqdm(total=self._total, unit=" frames", file=log, leave=False) if is_bar else None
         self._has_lines = options.progress == "lines"
 
     def __enter__(self) -> Self:
@@ -208,4 +215,4 @@ class _Progress:
         elif self._has_lines and time.monotonic() >= self._next_line_s:
             self._next_line_s += LINE_EVERY_S
             of_total = f" of {self._total}" if self._total is not None else ""
-            print(f"frame {self._done}{of_total}, tracker {updates_per_s:.0f} frames/s", file=self._out, flush=True)
+            print(f"frame {self._done}{of_total}, tracker {updates_per_s:.0f} frames/s", file=self._log, flush=True)

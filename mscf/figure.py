@@ -53,14 +53,15 @@ def save_figure(path: Path, title: str, tracks: Sequence[Track], truth: Sequence
             boxes = track.boxes[: len(known)]
             axes[2].plot(frame[: len(known)], center_errors_px(boxes, known), color=color, lw=1.2, label=track.name)
             axes[3].plot(frame[: len(known)], overlaps(boxes, known), color=color, lw=1.2, label=track.name)
-    axes[0].set(ylabel="mutation threat\nfactor", ylim=(0, None), title=title)
+    axes[0].set(ylabel="mutation threat\nfactor", ylim=(0, None))
     axes[1].set(ylabel="change from\nframe to frame", ylim=(0, None))
     if truth:
         axes[2].set(ylabel="centre error\n(px)", yscale="symlog")
         axes[2].axhline(20, color="0.6", lw=0.8, ls="--")
         axes[3].set(ylabel="overlap (IoU)", ylim=(0, 1))
     axes[-1].set(xlabel="frame")
-    axes[0].legend(loc="upper right", ncols=len(tracks), frameon=False)
+    figure.suptitle(title, x=0.01, ha="left")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=len(tracks), frameon=False)
     for panel in axes:
         panel.grid(alpha=0.25)
         panel.spines[["top", "right"]].set_visible(False)

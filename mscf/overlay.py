@@ -30,7 +30,7 @@ class Shown:
 
     name: str
     box: Box
-    threats: Sequence[float]  # of all frames so far
+    threats: Sequence[float]  # of all frames so far; NaN where there is none
 
 
 def draw(
@@ -62,7 +62,7 @@ def draw(
         _rectangle(picture, truth, TRUTH_BGR, 1)
     for tracker, color in reversed(list(zip(trackers, COLORS_BGR, strict=False))):  # the first one on top
         _rectangle(picture, tracker.box, color, width_px)
-    _captions(picture, caption, trackers, unit)
+    _captions(picture, caption, trackers, unit, has_truth=truth is not None)
     _panels(picture, trackers, response, unit)
     return picture
 
@@ -75,10 +75,11 @@ def _rectangle(picture: Image, box: Box, color: tuple[int, int, int], width_px: 
     cv2.rectangle(picture, (x0, y0), (x1, y1), color, width_px, cv2.LINE_AA)
 
 
-def _captions(picture: Image, caption: str, trackers: Sequence[Shown], unit: float) -> None:
+def _captions(picture: Image, caption: str, trackers: Sequence[Shown], unit: float, *, has_truth: bool) -> None:
     line_px = round(26 * unit)
     texts = [(caption, TRUTH_BGR)]
     texts += [(tracker.name, color) for tracker, color in zip(trackers, COLORS_BGR, strict=False)]
+    texts += [("true box", TRUTH_BGR)] if has_truth else []
     for index, (text, color) in enumerate(texts, start=1):
         origin = round(12 * unit), index * line_px
         # dark under light: legible on any ground
@@ -124,7 +125,7 @@ def _threat_curve(picture: Image, area_xywh: tuple[int, int, int, int], trackers
     area[:] = area // 3
     cv2.rectangle(picture, (left, top), (left + width, top + height), TRUTH_BGR, 1)
     for tracker, color in reversed(list(zip(trackers, COLORS_BGR, strict=False))):
-        recent = np.clip(np.array(tracker.threats[-_CURVE_FRAMES:]), 0, 1)
+        recent = np.clip(np.nan_to_num(tracker.threats[-_CURVE_FRAMES:]), 0, 1)
         x = left + np.arange(len(recent)) * (width - 1) / (_CURVE_FRAMES - 1)
         y = top + (1 - recent) * (height - 1)
         points = np.stack([x, y], axis=1).round().astype(np.int32)

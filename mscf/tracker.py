@@ -44,6 +44,7 @@ class State:
     filter_f: Spectrum  # (C, M, N') g
     label_f: Spectrum  # (M, N') r
     scale_filter: ScaleFilter
+    peak_mean: float  # running mean of the response's peak; NaN before the first
 
 
 class Tracker:
@@ -65,6 +66,11 @@ class Tracker:
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self._config = TrackerConfig() if config is None else config
         self._started: tuple[Plan, State] | None = None
+
+    @property
+    def config(self) -> TrackerConfig:
+        """What the tracker was made with."""
+        return self._config
 
     def init(self, frame: Image, box: Box, *, probe: Probe = no_probe) -> None:
         """Learn the target in `box` of `frame`; may be called again for another target.
@@ -103,7 +109,7 @@ class Tracker:
         features = scale_features(frame, pos_rc, scale, plan.scale)
         probe("scale_features_train", features)
         scale_filter = train_scale(features, None, plan.scale)
-        self._started = plan, State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter)
+        self._started = plan, State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter, math.nan)
 
     def update(self, frame: Image, *, probe: Probe = no_probe) -> TrackResult:
         """Locate the target in `frame`, then learn from it.
@@ -142,11 +148,19 @@ class Tracker:
         probe("scale_features_detect", features)
         scale = estimate_scale(features, state.scale, state.scale_filter, plan.scale, probe)
         # TRAINING (paper Eq. 3-15)
-        moved = replace(state, frame_index=state.frame_index + 1, pos_rc=pos_rc, scale=scale)
-        self._started = plan, train(frame, moved, threat, plan, probe)
+        peak = float(response.max())
+        mean = peak if math.isnan(state.peak_mean) else state.peak_mean
+        good = peak >= self._config.training_floor * mean
+        moved = replace(
+            state,
+            frame_index=state.frame_index + 1,
+            pos_rc=pos_rc,
+            scale=scale,
+            peak_mean=mean + 0.1 * (peak - mean) if good else mean,
+        )
+        self._started = plan, (train(frame, moved, threat, plan, probe) if good else moved)
 
         box = plan.box_at(pos_rc, scale)
-        peak = float(response.max())
         return TrackResult(box, peak, threat, scale / plan.first_scale, 0.0)
 
 

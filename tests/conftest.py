@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from mover import write_sequence
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
@@ -35,3 +36,8 @@ def sequences_dir() -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20210607)
+
+
+@pytest.fixture
+def sequence_dir(tmp_path: Path) -> Path:
+    return write_sequence(tmp_path / "data" / "mover")

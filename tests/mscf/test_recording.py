@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from mover import moving_target
+
+from mscf.errors import OutputError
+from mscf.geometry import Box
+from mscf.recording import BoxFile, VideoFile, check_writable
+
+
+def decoded(path: Path) -> list[np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="bgr24") for frame in container.decode(video=0)]
+
+
+def test_a_video_is_h264_that_a_browser_plays_and_shows_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    with VideoFile(path, 30) as file:
+        for frame in moving_target():
+            file.write(frame)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert float(stream.average_rate) == 30
+    # the index stands before the pictures, so that playing starts before all is loaded
+    content = path.read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")
+    for shown, written in zip(decoded(path), moving_target(), strict=True):
+        assert np.abs(shown.astype(int) - written).mean() < 12
+
+
+def test_odd_sizes_lose_a_row_and_a_column(tmp_path: Path) -> None:
+    with VideoFile(tmp_path / "odd.mp4", 30) as file:
+        file.write(np.zeros((61, 91, 3), np.uint8))
+    assert decoded(tmp_path / "odd.mp4")[0].shape == (60, 90, 3)
+
+
+def test_an_exception_leaves_a_playable_file(tmp_path: Path) -> None:
+    def record() -> None:
+        with VideoFile(tmp_path / "a.mp4", 30) as file:
+            for frame in moving_target()[:5]:
+                file.write(frame)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert len(decoded(tmp_path / "a.mp4")) == 5
+
+
+def test_only_mp4_is_written(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"a\.avi is not named \.mp4"):
+        VideoFile(tmp_path / "a.avi", 30)
+
+
+def test_a_place_that_cannot_be_written_is_named_before_anything_is_done(tmp_path: Path) -> None:
+    for make in (lambda p: VideoFile(p / "a.mp4", 30), lambda p: BoxFile(p / "a.txt"), lambda p: check_writable(p)):
+        with pytest.raises(OutputError, match="cannot be written: No such file or directory"):
+            make(tmp_path / "nowhere" / "below")
+    with pytest.raises(OutputError, match="cannot be written: Is a directory"):
+        BoxFile(tmp_path)
+
+
+def test_checking_a_place_leaves_it_as_it_was(tmp_path: Path) -> None:
+    check_writable(tmp_path / "new.txt")
+    assert not (tmp_path / "new.txt").exists()
+    (tmp_path / "old.txt").write_text("kept")
+    check_writable(tmp_path / "old.txt")
+    assert (tmp_path / "old.txt").read_text() == "kept"
+
+
+def test_each_box_is_on_disk_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    with BoxFile(path) as file:
+        file.write(Box(0, 0, 10, 20))
+        assert path.read_text() == "1.00,1.00,10.00,20.00\n"
+        file.write(Box(4.125, 5.5, 10, 20))
+    assert path.read_text().splitlines()[1] == "5.12,6.50,10.00,20.00"
