@@ -1,6 +1,7 @@
 """The built-in scenery: a village edge with two roads, a viaduct, houses, a car park, fields and trees."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -62,16 +63,9 @@ def village(seed: int) -> Scenery:
         ridge_m = eaves_m + rng.uniform(2.0, 3.2)
         houses.append(
             House(
-                (north_m, east_m),
-                yaw_rad,
-                length_m,
-                width_m,
-                eaves_m,
-                ridge_m,
-                pick(WALLS_BGR),
-                pick(ROOFS_BGR),
+                (north_m, east_m), yaw_rad, length_m, width_m, eaves_m, ridge_m, pick(WALLS_BGR), pick(ROOFS_BGR)
             )
-        )
+        )  # fmt: skip
 
     parked = []
     for row_east_m in (17.0, 27.5, 33.0, 45.5):
@@ -82,27 +76,26 @@ def village(seed: int) -> Scenery:
     for north_m, east_m in ((9.0, -16.0), (-13.0, -24.0), (8.5, -30.0), (58.0, 20.0), (61.0, 29.0)):
         parked.append(Car(Motion((north_m, east_m), rng.uniform(0, math.tau)), pick(CAR_COLORS_BGR)))
 
-    fixed = Scenery(seed, roads=(MAIN_ROAD, CROSS_ROAD), plots=plots, houses=tuple(houses), bridges=(VIADUCT,))
-    return Scenery(
+    treeless = Scenery(
         seed,
-        roads=fixed.roads,
+        roads=(MAIN_ROAD, CROSS_ROAD),
         plots=plots,
-        trees=ROADSIDE_TREES + _scattered_trees(fixed, rng),
-        houses=fixed.houses,
-        bridges=fixed.bridges,
+        houses=tuple(houses),
+        bridges=(VIADUCT,),
         parked=tuple(parked),
     )
+    return replace(treeless, trees=ROADSIDE_TREES + _scattered_trees(treeless, rng))
 
 
 def _scattered_trees(scenery: Scenery, rng: np.random.Generator) -> tuple[Tree, ...]:
     """Gardens, an avenue on the far side of the main road, and hedgerows; clear of what must stay visible."""
-    places = [(n + rng.normal(0, 1.0), 9.8 + rng.normal(0, 0.4)) for n in range(-150, -62, 11)]
-    places += [(n + rng.normal(0, 1.2), 8.8 + rng.normal(0, 0.3)) for n in range(52, 150, 12)]
-    places += [(-60.0 + rng.normal(0, 1.5), e + rng.normal(0, 1.5)) for e in range(-150, -25, 8)]
-    places += [(-57.0 + rng.normal(0, 1.2), e + rng.normal(0, 1.5)) for e in range(22, 150, 9)]
+    places = [(n + rng.normal(0, 1.0), 9.8 + rng.normal(0, 0.4)) for n in range(-116, -62, 11)]
+    places += [(n + rng.normal(0, 1.2), 8.8 + rng.normal(0, 0.3)) for n in range(52, 120, 12)]
+    places += [(-60.0 + rng.normal(0, 1.5), e + rng.normal(0, 1.5)) for e in range(-115, -25, 8)]
+    places += [(-57.0 + rng.normal(0, 1.2), e + rng.normal(0, 1.5)) for e in range(22, 118, 9)]
     places += [(rng.uniform(-24, 76), rng.uniform(-84, -13)) for _ in range(120)]
     places += [(rng.uniform(-26, 76), rng.uniform(52, 108)) for _ in range(80)]
-    places += [(rng.uniform(-160, 160), rng.uniform(-160, 160)) for _ in range(60)]
+    places += [(rng.uniform(-120, 120), rng.uniform(-120, 120)) for _ in range(34)]
     trees: list[Tree] = []
     for north_m, east_m in places:
         radius_m = float(np.clip(rng.normal(2.5, 0.8), 1.2, 4.2))

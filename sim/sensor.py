@@ -6,7 +6,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from mscf.arrays import Image, Real, Real64
+from mscf.arrays import Image, Real64
 
 _LENS_SIGMA_PX = 0.55  # a sharp lens behind a demosaiced sensor
 _NOISE_MARGIN_PX = 64
@@ -26,29 +26,27 @@ def blurred(image: Image, motion_px: Real64) -> Image:
     return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()), np.uint8)
 
 
-@lru_cache(maxsize=4)
-def _noise_fields(seed: int, size_hw: tuple[int, int], std: float) -> tuple[Image, Image]:
-    """Two fields larger than the frame; their difference is the sensor's noise, fine with a little coarse."""
+@lru_cache(maxsize=1)
+def _noise_field(seed: int, size_hw: tuple[int, int], std: float) -> Image:
+    """A field larger than the frame; it minus itself shifted is the sensor's noise, fine with a little coarse."""
     rng = np.random.default_rng((seed, 4))
-    shape = (size_hw[0] + _NOISE_MARGIN_PX, size_hw[1] + _NOISE_MARGIN_PX)
-    fields = []
-    for _ in range(2):
-        luma = rng.standard_normal(shape, dtype=np.float32)[..., None]
-        chroma = cv2.GaussianBlur(rng.standard_normal((*shape, 3), dtype=np.float32), (0, 0), 1.0) * 2.0
-        # The deviation of a difference is sqrt(2) that of each; 4 std of offset keep both fields positive.
-        field = np.clip((luma * 0.85 + chroma * 0.5 + 4) * std / math.sqrt(2), 0, 255)
-        fields.append(np.round(field).astype(np.uint8))
-    return fields[0], fields[1]
+    field = np.empty((size_hw[0] + _NOISE_MARGIN_PX, size_hw[1] + _NOISE_MARGIN_PX, 3), np.uint8)
+    for strip in np.array_split(field, 16):  # floats of the whole field would take 30 MB
+        luma = 0.85 * rng.standard_normal((*strip.shape[:2], 1), dtype=np.float32)
+        chroma = cv2.GaussianBlur(rng.standard_normal(strip.shape, dtype=np.float32), (0, 0), 1.0)
+        # The deviation of a difference is sqrt(2) that of each; 4 std of offset keep the field positive.
+        strip[...] = np.clip(np.round((luma + chroma + 4) * (std / math.sqrt(2))), 0, 255)
+    return field
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=1)
 def _vignette(size_hw: tuple[int, int]) -> Image:
     """Fall-off of the lens towards the corners (H, W, 3), 255 in the middle."""
     height, width = size_hw
-    y = np.linspace(-1, 1, height)[:, None] * height / width
-    x = np.linspace(-1, 1, width)
-    fall: Real = (255 / (1 + 0.13 * (x**2 + y**2)) ** 2).astype(np.float32)
-    return np.repeat(np.round(fall).astype(np.uint8)[..., None], 3, axis=2)
+    y = np.linspace(-1, 1, height, dtype=np.float32)[:, None] * np.float32(height / width)
+    x = np.linspace(-1, 1, width, dtype=np.float32)
+    fall = cv2.convertScaleAbs((1 + 0.13 * (x**2 + y**2)) ** -2, alpha=255)
+    return np.asarray(cv2.merge([fall] * 3), np.uint8)
 
 
 def developed(frame: Image, seed: int, time_s: float, exposure_gain: float, noise_std: float) -> Image:
@@ -59,13 +57,10 @@ def developed(frame: Image, seed: int, time_s: float, exposure_gain: float, nois
         return frame
     # Fresh shifts for every time: the same noise never stands still on the picture.
     rng = np.random.default_rng((seed, 5, int(time_s * 1e6) & 0xFFFFFFFF))
-    bright, dark = (
-        field[top : top + height, left : left + width]
-        for field, (top, left) in zip(
-            _noise_fields(seed, (height, width), noise_std),
-            rng.integers(_NOISE_MARGIN_PX, size=(2, 2)),
-            strict=True,
-        )
-    )
+    shift = rng.integers(_NOISE_MARGIN_PX, size=2)
+    # Far enough from the first for the two to have nothing in common.
+    other_shift = (shift + rng.integers(8, _NOISE_MARGIN_PX - 8, size=2)) % _NOISE_MARGIN_PX
+    field = _noise_field(seed, (height, width), noise_std)
+    bright, dark = (field[top : top + height, left : left + width] for top, left in (shift, other_shift))
     # Dark last: the sum of the offsets cancels, saturation only meets what was saturated already.
-    return np.asarray(cv2.subtract(cv2.add(frame, bright), dark), np.uint8)
+    return np.asarray(cv2.subtract(cv2.add(frame, bright, dst=frame), dark, dst=frame), np.uint8)

@@ -17,8 +17,6 @@ from sim.world import SUN_NED, Bridge, ColorBgr, House, Pose
 
 CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M = 4.4, 1.8, 1.45
 
-ROOF_OVERHANG_M = 0.25
-
 GLASS_BGR = (62, 54, 46)
 TYRE_BGR = (30, 29, 28)
 CONCRETE_BGR = (142, 150, 154)
@@ -115,7 +113,7 @@ class _Builder:
         if top != "open":
             self.add_face(upper_m, inside_m, color_bgr, is_textured=top == "textured")
 
-    def mesh(self, texture_shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> Mesh:
+    def mesh(self) -> Mesh:
         return Mesh(
             np.concatenate(self.vertices),
             tuple(self.faces),
@@ -123,11 +121,11 @@ class _Builder:
             np.stack(self.normals),
             np.array(self.colors, dtype=float),
             tuple(self.is_textured),
-            texture_shift_ne_m,
         )
 
 
 def _pane(u_0: float, u_1: float, v_0: float, v_1: float) -> list[tuple[float, float]]:
+    """Corners of a rectangle."""
     return [(u_0, v_0), (u_1, v_0), (u_1, v_1), (u_0, v_1)]
 
 
@@ -204,44 +202,33 @@ def house_mesh(house: House) -> Mesh:
     for end in (x, -x):
         gable = np.array([(end, -y, -house.eaves_m), (end, y, -house.eaves_m), (end, 0.0, -house.ridge_m)])
         builder.add_face(gable, inside, house.wall_bgr)
-    over = ROOF_OVERHANG_M
-    drop = over * (house.ridge_m - house.eaves_m) / y
-    for side in (-1, 1):
-        slope = np.array(
-            [
-                (x + over, side * (y + over), -(house.eaves_m - drop)),
-                (-x - over, side * (y + over), -(house.eaves_m - drop)),
-                (-x - over, 0.0, -house.ridge_m),
-                (x + over, 0.0, -house.ridge_m),
-            ]
-        )
-        builder.add_face(slope, inside, house.roof_bgr, is_textured=True)
+    for across in (-y, y):
+        eaves, ridge = _ring([(x, across), (-x, across)], house.eaves_m), _ring([(-x, 0.0), (x, 0.0)], house.ridge_m)
+        builder.add_face(np.concatenate([eaves, ridge]), inside, house.roof_bgr, is_textured=True)
     return builder.mesh().placed(Pose((*house.pos_ne_m, 0.0), yaw_rad=house.yaw_rad))
 
 
 def bridge_meshes(bridge: Bridge, tile_m: float, piece_m: float = 20.0) -> list[Mesh]:
     """The pieces of a viaduct in the world, NED, each `piece_m` long, and its pillars, every second piece."""
-    deck_m, half = bridge.underside_m + bridge.thickness_m, bridge.width_m / 2
-    shift_ne_m = (bridge.like_north_m - bridge.north_m, tile_m / 2)  # half a tile: away from the junction
+    low_m, high_m, half = bridge.underside_m, bridge.underside_m + bridge.thickness_m, bridge.width_m / 2
+    builder = _Builder()
+    plan = _pane(-half, half, -piece_m / 2, piece_m / 2)
+    builder.add_prism(_ring(plan, low_m), _ring(plan, high_m), CONCRETE_BGR, top="textured")
+    for edge in (half - 0.3, -half):  # parapets; the northern one first, as most cameras look north
+        plan = _pane(edge, edge + 0.3, -piece_m / 2, piece_m / 2)
+        builder.add_prism(_ring(plan, high_m), _ring(plan, high_m + 0.9), CONCRETE_BGR)
+    piece, builder = builder.mesh(), _Builder()
+    plan = _pane(-half * 0.6, half * 0.6, -0.6, 0.6)
+    builder.add_prism(_ring(plan, 0.0), _ring(plan, low_m), CONCRETE_BGR, top="open")
+    pillar = builder.mesh()
+
     meshes = []
     for k in range(round(tile_m / piece_m)):
-        east_m = (k + 0.5) * piece_m - tile_m / 2
-
-        def plan(north_0: float, north_1: float, half_east: float, east_m: float = east_m) -> list[tuple[float, float]]:
-            west, east = east_m - half_east, east_m + half_east
-            south, north = bridge.north_m + north_0, bridge.north_m + north_1
-            return [(north, west), (north, east), (south, east), (south, west)]
-
-        builder = _Builder()
-        whole = plan(-half, half, piece_m / 2)
-        builder.add_prism(_ring(whole, bridge.underside_m), _ring(whole, deck_m), CONCRETE_BGR, top="textured")
-        for edge in (half - 0.3, -half):  # parapets; the northern one first, as most cameras look north
-            wall = plan(edge, edge + 0.3, piece_m / 2)
-            builder.add_prism(_ring(wall, deck_m), _ring(wall, deck_m + 0.9), CONCRETE_BGR)
-        meshes.append(builder.mesh(shift_ne_m))
+        place = Pose((bridge.north_m, (k + 0.5) * piece_m - tile_m / 2, 0.0))
+        # The middle pieces look like the road half a tile away: no junction, which is in the tile's middle.
+        shift_east_m = tile_m / 2 if abs(place.pos_ned_m[1]) < tile_m / 4 else 0.0
+        shift_ne_m = (bridge.like_north_m - bridge.north_m, shift_east_m)
+        meshes.append(replace(piece.placed(place), texture_shift_ne_m=shift_ne_m))
         if k % 2 == 0:
-            builder = _Builder()
-            post = plan(-half * 0.6, half * 0.6, 0.6)
-            builder.add_prism(_ring(post, 0.0), _ring(post, bridge.underside_m), CONCRETE_BGR, top="open")
-            meshes.append(builder.mesh())
+            meshes.append(pillar.placed(place))
     return meshes

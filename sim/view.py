@@ -48,10 +48,7 @@ class Camera:
         Points nearer than `NEAREST_M` to the image plane, or behind it, get the pixel of that depth: look at
         the depth before using one.
         """
-        offsets_m = np.asarray(points_ned_m, dtype=np.float64) - np.array(pose.pos_ned_m)
-        homogeneous = offsets_m @ (self.matrix() @ self.optical_from_ned(pose)).T
-        depth_m = homogeneous[:, 2]
-        return homogeneous[:, :2] / np.maximum(depth_m, NEAREST_M)[:, None], depth_m
+        return View(self, pose).project(np.asarray(points_ned_m, dtype=np.float64))
 
     def image_from_ground(self, pose: Pose) -> Real64:
         """Homography (3, 3) from ground points (north, east, 1) in m to homogeneous (u, v, 1)."""

@@ -26,8 +26,7 @@ SUN_NED = (
     -math.sin(SUN_ELEVATION_RAD),
 )
 
-
-TILE_STEP_M = 40.0
+TILE_STEP_M = 40.0  # the ground's finest grain repeats at this distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +153,11 @@ class Road:
     offset_m: float
     width_m: float = 7.0
 
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of the road."""
+        return 0.0 if self.is_northward else math.pi / 2
+
     def place_ne_m(self, along_m: float, across_m: float) -> tuple[float, float]:
         """North and east of a place `along_m` from the tile's middle and `across_m` from the road's."""
         sideways_m = self.offset_m + across_m
@@ -186,13 +190,13 @@ class Plot:
 class Scenery:
     """All that stands still, on a square tile centred on the origin that repeats every `tile_m`.
 
-    `tile_m` must be a multiple of 40 m, so that whole numbers of noise cells fit on it.
+    `tile_m` must be a multiple of 40 m, so that the ground's grain fits on it.
 
     Compared by identity, which makes it a cheap key for what is painted from it.
     """
 
     seed: int
-    tile_m: float = 320.0
+    tile_m: float = 240.0
     roads: tuple[Road, ...] = ()
     plots: tuple[Plot, ...] = ()
     trees: tuple[Tree, ...] = ()

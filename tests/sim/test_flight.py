@@ -1,7 +1,10 @@
 """The built-in flight keeps what it promises to a tracker's demo."""
 
 import itertools
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,6 +48,26 @@ def test_frames_come_lazily_in_the_asked_number_and_form() -> None:
     assert len(frames) == 3
     assert {(frame.shape, frame.dtype) for frame in frames} == {((90, 160, 3), np.dtype(np.uint8))}
     assert next(iter(SyntheticFlight(10**6, (90, 160)))).shape == (90, 160, 3)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak from Linux's /proc")
+def test_rendering_fits_beside_a_tracker_on_a_small_computer() -> None:
+    """Below 140 MB: `mscf demo` shall peak below 300 MB, with the tracker, the encoder and the plots.
+
+    Numpy, OpenCV and this project's modules take about 50 MB of them, which the demo has anyway; the ground
+    takes 35, and the noise and the frame on its way to the caller 25. The rest is reserve for other versions.
+    """
+    program = """
+from pathlib import Path
+from sim.flight import SyntheticFlight
+
+assert len(list(SyntheticFlight(3))) == 3
+print(Path("/proc/self/status").read_text())
+"""
+    # VmHWM, not getrusage's ru_maxrss: that one starts from the peak of the process that forked it, this one.
+    status = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    (peak_kb,) = (int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
+    assert peak_kb / 1024 < 140
 
 
 def test_short_flight_is_the_start_of_the_long_one(flight: SyntheticFlight) -> None:

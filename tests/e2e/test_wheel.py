@@ -1,0 +1,67 @@
+"""What a user installs: the built wheel in an empty environment, and nothing of this checkout."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(folder), str(ROOT))
+    return next(folder.glob("mscf_companion-*.whl"))
+
+
+@pytest.fixture(scope="module")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("environment") / "venv"
+    run(sys.executable, "-m", "venv", str(folder))
+    run(str(folder / "bin" / "pip"), "install", "-q", str(wheel))
+    return folder / "bin"
+
+
+def run(*command: str, status: int = 0, cwd: Path | None = None) -> str:
+    environ = os.environ | {"PIP_CONSTRAINT": str(ROOT / "constraints.txt"), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    environ.pop("PYTHONPATH", None)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, cwd=cwd)
+    assert done.returncode == status, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_the_wheel_holds_the_packages_and_the_table_and_no_tests(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
+    assert tops == {"mscf", "companion", "sim"}
+    assert "mscf/data/color_names.npz" in names
+    assert {"mscf/py.typed", "companion/py.typed", "sim/py.typed"} <= set(names)
+    assert not any("make_color_names" in name for name in names)
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+
+
+def test_the_commands_run_from_the_wheel_alone(environment: Path, sequence_dir: Path, tmp_path: Path) -> None:
+    assert run(str(environment / "mscf"), "--version", cwd=tmp_path).startswith("mscf 0.")
+    assert run(str(environment / "mscf-companion"), "--version", cwd=tmp_path).startswith("mscf-companion 0.")
+    said = run(str(environment / "mscf"), "demo", str(sequence_dir), "--boxes", "boxes.txt", cwd=tmp_path)
+    assert "precision at 20 px 1.000" in said
+    assert len((tmp_path / "boxes.txt").read_text().splitlines()) == 12
+    said = run(str(environment / "mscf"), "demo", "--max-frames", "2", cwd=tmp_path)
+    assert "mscf: 2 frames" in said
+
+
+def test_an_extra_that_is_missing_is_named(environment: Path, sequence_dir: Path, tmp_path: Path) -> None:
+    demo = [str(environment / "mscf"), "demo", str(sequence_dir)]
+    said = run(*demo, "--save", "a.mp4", status=2, cwd=tmp_path)
+    assert "pip install 'mscf-companion[recording]'" in said
+    said = run(*demo, "--plot", "a.png", status=2, cwd=tmp_path)
+    assert "pip install 'mscf-companion[plots]'" in said
+
+
+def test_the_tracker_imports_neither_application_nor_simulator(environment: Path, tmp_path: Path) -> None:
+    code = "import sys, mscf; print(sorted(m for m in sys.modules if m.split('.')[0] in ('companion', 'sim', 'av')))"
+    assert run(str(environment / "python"), "-c", code, cwd=tmp_path).strip() == "[]"
