@@ -29,7 +29,9 @@ _RANGES: dict[str, tuple[float, float]] = {
     "threat_delta": (0, 1),
     "learning_rate": (0, 1),
     "train_interval": (1, 100),
-    "training_floor": (0, 1),
+    "shift_limit_cells": (0, 25),
+    "hold_floor": (0, 1),
+    "hold_frames": (0, 1000),
     "iterations": (1, 20),
     "penalty": (1e-6, 1e6),
     "penalty_growth": (1, 1000),
@@ -81,10 +83,15 @@ class TrackerConfig:
     threat_nu: float = 1.0  # nu
     threat_delta: float = 0.01  # delta, per exp(cell)
 
+    # occlusion: not in the paper (docs/results.md)
+    hold_floor: float = 0.4  # where the peak is below this share of its running mean, the target is held hidden
+    hold_frames: int = 25  # for no longer than this
+
     # training (paper IV-A; spec B10)
     learning_rate: float = 0.0158  # of the model, per training
     train_interval: int = 1  # frames from one training to the next
-    training_floor: float = 0.0  # no training where the peak is below this share of its running mean
+    # up to this displacement the sample of the detection is shifted for training; 0: cut anew wherever it moved
+    shift_limit_cells: float = 2.0
     iterations: int = 2  # ADMM iterations; of rule "split" in each of its three loops
     penalty: float = 0.1  # mu of the first iteration
     penalty_growth: float = 10.0  # beta, of mu and gamma
@@ -112,7 +119,14 @@ class TrackerConfig:
                 raise ConfigError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
             if not low <= value <= high:
                 raise ConfigError(f"{name} must be from {low:g} to {high:g}, got {value!r}")
-        for name in ("sample_side_px", "train_interval", "iterations", "scale_count", "scale_train_interval"):
+        for name in (
+            "sample_side_px",
+            "hold_frames",
+            "train_interval",
+            "iterations",
+            "scale_count",
+            "scale_train_interval",
+        ):
             if not isinstance(getattr(self, name), int):
                 raise ConfigError(f"{name} must be a whole number, got {getattr(self, name)!r}")
         for name, rules in (("label_rule", get_args(LabelRule)), ("threat_rule", get_args(ThreatRule))):
@@ -155,8 +169,9 @@ def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
     return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
+_AS_PUBLISHED: dict[str, Any] = {"oversampling": None, "shift_limit_cells": 0.0, "hold_floor": 0.0}
 _REFERENCE: dict[str, Any] = {
-    "oversampling": None,
+    **_AS_PUBLISHED,
     "pedestal_ratio": 0.625,  # 2.5 in the code, but the side is of sample pixels and used as cells of 4 (spec B5)
     "label_rule": "split",
     "threat_rule": "window",
@@ -164,7 +179,7 @@ _REFERENCE: dict[str, Any] = {
     "iterations": 2,
 }
 _PAPER: dict[str, Any] = {
-    "oversampling": None,
+    **_AS_PUBLISHED,
     "pedestal_ratio": 2.5,
     "pedestal_min_cells": 1.0,
     "pedestal_centred": True,

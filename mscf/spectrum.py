@@ -31,6 +31,15 @@ def circular_offsets(size: int) -> Real64:
     return np.where(index <= size // 2, index, index - size).astype(np.float64)
 
 
+def shifted(x_f: Spectrum, offset_rc: tuple[float, float], size_mn: tuple[int, int]) -> Spectrum:
+    """Spectrum of the map moved circularly by minus `offset_rc` cells: what was at the offset comes to (0, 0)."""
+    k_r, k_c = _frequency_grid(size_mn)
+    rows = np.exp(2j * np.pi / size_mn[0] * offset_rc[0] * k_r)
+    cols = np.exp(2j * np.pi / size_mn[1] * offset_rc[1] * k_c[: size_mn[1] // 2 + 1])
+    moved_f: Spectrum = x_f * np.outer(rows, cols).astype(np.complex64)
+    return moved_f
+
+
 @dataclass(frozen=True, slots=True)
 class SupportTransform:
     """DFT of maps that are zero outside a small centred rectangle, and the inverse for that rectangle alone.

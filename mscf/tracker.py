@@ -17,9 +17,10 @@ from mscf.mutation import threat_in_window, threat_of_peaks
 from mscf.plan import Plan
 from mscf.sampling import sample
 from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
-from mscf.spectrum import dft, inverse_dft, locate_peak
+from mscf.spectrum import dft, inverse_dft, locate_peak, shifted
 
 MIN_BOX_PX = 4.0
+PEAK_MEAN_RATE = 0.1  # of the running mean of peaks, per frame that shows the target
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,8 @@ class State:
     filter_f: Spectrum  # (C, M, N') g
     label_f: Spectrum  # (M, N') r
     scale_filter: ScaleFilter
-    peak_mean: float  # running mean of the response's peak; NaN before the first
+    peak_mean: float  # running mean of the response's peak; NaN before the first response
+    held: int  # frames for which the target has been held hidden
 
 
 class Tracker:
@@ -109,7 +111,10 @@ class Tracker:
         features = scale_features(frame, pos_rc, scale, plan.scale)
         probe("scale_features_train", features)
         scale_filter = train_scale(features, None, plan.scale)
-        self._started = plan, State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter, math.nan)
+        self._started = (
+            plan,
+            State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter, math.nan, 0),
+        )
 
     def update(self, frame: Image, *, probe: Probe = no_probe) -> TrackResult:
         """Locate the target in `frame`, then learn from it.
@@ -139,29 +144,34 @@ class Tracker:
         sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="detect")
         response = inverse_dft(correlate(state.filter_f, sample_f), plan.grid_mn)  # (M, N)
         probe("response", response)
-        pos_rc = locate(response, state)
-        probe("pos_rc", np.array(pos_rc))
+        peak = float(response.max())
         # SELECTION (paper Eq. 1, 2)
         threat = measure_threat(response, self._config, probe)
-        # SCALE (spec B8)
-        features = scale_features(frame, pos_rc, state.scale, plan.scale)
-        probe("scale_features_detect", features)
-        scale = estimate_scale(features, state.scale, state.scale_filter, plan.scale, probe)
-        # TRAINING (paper Eq. 3-15)
-        peak = float(response.max())
-        mean = peak if math.isnan(state.peak_mean) else state.peak_mean
-        good = peak >= self._config.training_floor * mean
-        moved = replace(
-            state,
-            frame_index=state.frame_index + 1,
-            pos_rc=pos_rc,
-            scale=scale,
-            peak_mean=mean + 0.1 * (peak - mean) if good else mean,
-        )
-        self._started = plan, (train(frame, moved, threat, plan, probe) if good else moved)
 
-        box = plan.box_at(pos_rc, scale)
-        return TrackResult(box, peak, threat, scale / plan.first_scale, 0.0)
+        if is_hidden(peak, state, self._config):
+            after = replace(state, frame_index=state.frame_index + 1, held=state.held + 1)
+        else:
+            offset_rc = locate_peak(response)  # cells
+            pos_rc = displaced(state, offset_rc)
+            probe("pos_rc", np.array(pos_rc))
+            # SCALE (spec B8)
+            scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale)
+            probe("scale_features_detect", scale_sample)
+            scale = estimate_scale(scale_sample, state.scale, state.scale_filter, plan.scale, probe)
+            # TRAINING (paper Eq. 3-15)
+            after = seen(state, peak, pos_rc, scale, self._config)
+            if after.frame_index % self._config.train_interval == 0:
+                train_f = training_sample(frame, sample_f, offset_rc, state, after, plan, probe)
+                after = train(after, train_f, threat, plan, probe)
+            if after.frame_index % self._config.scale_train_interval == 0:
+                if scale != state.scale:  # else the sample is the same
+                    scale_sample = scale_features(frame, pos_rc, scale, plan.scale)
+                probe("scale_features_train", scale_sample)
+                after = replace(after, scale_filter=train_scale(scale_sample, state.scale_filter, plan.scale))
+
+        self._started = plan, after
+        box = plan.box_at(after.pos_rc, after.scale)
+        return TrackResult(box, peak, threat, after.scale / plan.first_scale, 0.0)
 
 
 def sample_features(
@@ -183,12 +193,27 @@ def nearest_pixel(pos_rc: tuple[float, float]) -> tuple[int, int]:
     return math.floor(pos_rc[0] + 0.5), math.floor(pos_rc[1] + 0.5)
 
 
-def locate(response: Real, state: State) -> tuple[float, float]:
-    """New centre of the target in px: the patch's centre pixel plus the peak's offset (spec B6)."""
-    offset_rc = locate_peak(response)
+def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, float]:
+    """New centre of the target in px: the patch's centre pixel plus the peak's offset in cells (spec B6)."""
     row, col = nearest_pixel(state.pos_rc)
     cell_px = CELL_PX * state.scale
     return row + offset_rc[0] * cell_px, col + offset_rc[1] * cell_px
+
+
+def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:
+    """Whether the response is so weak that the target must be behind something.
+
+    Not in the paper. A filter follows the occluder where it takes the highest of weak peaks; a target that is
+    held where it was seen last, with nothing learned, is mostly still in the search area when it comes out.
+    """
+    return state.held < cfg.hold_frames and peak < cfg.hold_floor * state.peak_mean  # False while that is NaN
+
+
+def seen(state: State, peak: float, pos_rc: tuple[float, float], scale: float, cfg: TrackerConfig) -> State:
+    """State after a frame that shows the target, or in which waiting for it was given up."""
+    starts_anew = math.isnan(state.peak_mean) or state.held >= cfg.hold_frames
+    mean = peak if starts_anew else state.peak_mean + PEAK_MEAN_RATE * (peak - state.peak_mean)
+    return replace(state, frame_index=state.frame_index + 1, pos_rc=pos_rc, scale=scale, peak_mean=mean, held=0)
 
 
 def measure_threat(response: Real, cfg: TrackerConfig, probe: Probe) -> float:
@@ -197,26 +222,41 @@ def measure_threat(response: Real, cfg: TrackerConfig, probe: Probe) -> float:
     return rule(response, nu=cfg.threat_nu, delta=cfg.threat_delta, probe=probe)
 
 
-def train(frame: Image, state: State, threat: float, plan: Plan, probe: Probe) -> State:
-    """Learn the target where `state` says it is; each part at its own interval."""
+def training_sample(
+    frame: Image,
+    sample_f: Spectrum,
+    offset_rc: tuple[float, float],
+    before: State,
+    after: State,
+    plan: Plan,
+    probe: Probe,
+) -> Spectrum:
+    """Sample around the target's new place: (C, M, N').
+
+    Where neither the patch nor its scale has changed it is the sample of the detection. Not in the paper, for
+    speed: after a small displacement it is that sample shifted by a linear phase. The Hann window is then off
+    the target by the displacement; in exchange the target is centred to a fraction of a pixel.
+    """
+    if after.scale == before.scale:
+        if max(map(abs, offset_rc)) <= plan.config.shift_limit_cells:
+            return shifted(sample_f, offset_rc, plan.grid_mn)
+        if nearest_pixel(after.pos_rc) == nearest_pixel(before.pos_rc):
+            return sample_f
+    return sample_features(frame, after.pos_rc, after.scale, plan, probe=probe, stage="train")
+
+
+def train(state: State, sample_f: Spectrum, threat: float, plan: Plan, probe: Probe) -> State:
+    """Learn a sample (C, M, N') of the target."""
     cfg = plan.config
-    if state.frame_index % cfg.train_interval == 0:
-        sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="train")
-        rate = np.float32(cfg.learning_rate)
-        model_f = (1 - rate) * state.model_f + rate * sample_f
-        probe("model_f", model_f)
-        ideal = ideal_label(plan.gaussian, plan.pedestal, height=cfg.pedestal_height, threat=threat)
-        ideal_f = dft(ideal)
-        probe("ideal_label_f", ideal_f)
-        learned = learn(model_f, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, probe=probe)
-        probe("label_f", learned.label_f)
-        probe("filter_f", learned.g_f)
-        state = replace(state, model_f=model_f, filter_f=learned.g_f, label_f=learned.label_f)
-    if state.frame_index % cfg.scale_train_interval == 0:
-        features = scale_features(frame, state.pos_rc, state.scale, plan.scale)
-        probe("scale_features_train", features)
-        state = replace(state, scale_filter=train_scale(features, state.scale_filter, plan.scale))
-    return state
+    rate = np.float32(cfg.learning_rate)
+    model_f = (1 - rate) * state.model_f + rate * sample_f
+    probe("model_f", model_f)
+    ideal_f = dft(ideal_label(plan.gaussian, plan.pedestal, height=cfg.pedestal_height, threat=threat))
+    probe("ideal_label_f", ideal_f)
+    learned = learn(model_f, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, probe=probe)
+    probe("label_f", learned.label_f)
+    probe("filter_f", learned.g_f)
+    return replace(state, model_f=model_f, filter_f=learned.g_f, label_f=learned.label_f)
 
 
 def _check_frame(frame: Image) -> None:

@@ -58,7 +58,9 @@ def test_a_video_that_was_cut_short_says_where(video: Path) -> None:
         next(frames)
 
 
-@pytest.mark.parametrize(("text", "device"), [("0", "/dev/video0"), ("12", "/dev/video12"), ("/dev/video3", "/dev/video3")])
+@pytest.mark.parametrize(
+    ("text", "device"), [("0", "/dev/video0"), ("12", "/dev/video12"), ("/dev/video3", "/dev/video3")]
+)
 def test_a_number_or_device_is_a_camera(text: str, device: str) -> None:
     source = open_source(text)
     assert isinstance(source, CameraSource)

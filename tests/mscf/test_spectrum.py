@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mscf.arrays import Real
-from mscf.spectrum import SupportTransform, circular_offsets, dft, inverse_dft, locate_peak
+from mscf.spectrum import SupportTransform, circular_offsets, dft, inverse_dft, locate_peak, shifted
 
 
 def test_transforms_keep_single_precision(rng: np.random.Generator) -> None:
@@ -74,3 +74,15 @@ def test_of_equal_maxima_the_first_by_column_wins() -> None:
     response[0, 3] = response[2, 1] = 1
     row, col = locate_peak(response)
     assert (round(row), round(col)) == (2, 1)
+
+
+def test_a_spectrum_shifted_by_whole_cells_is_that_of_the_rolled_map(rng: np.random.Generator) -> None:
+    x = rng.standard_normal((3, 50, 50), dtype=np.float32)
+    moved = inverse_dft(shifted(dft(x), (3, -7), (50, 50)), (50, 50))
+    np.testing.assert_allclose(moved, np.roll(x, (-3, 7), axis=(1, 2)), atol=1e-5)
+
+
+def test_a_spectrum_shifted_by_its_peaks_offset_has_its_peak_at_the_origin() -> None:
+    response = bump(1.3, -0.6)
+    centred = inverse_dft(shifted(dft(response), locate_peak(response), (50, 50)), (50, 50))
+    assert locate_peak(centred) == pytest.approx((0, 0), abs=1e-3)

@@ -127,6 +127,92 @@ def test_the_frame_is_not_changed_and_not_kept(frame: Image) -> None:
     assert one.update(frame) == other.update(frame)
 
 
+# --- occlusion and the training sample ---
+
+
+def behind_a_wall(rng: np.random.Generator) -> tuple[Image, Image]:
+    """A target in the open, and the same place with a featureless wall in front of it."""
+    frame = placed(textured(rng, 30, 40), textured(rng, 240, 320) // 3, 140, 100)
+    hidden = frame.copy()
+    hidden[60:180, 90:230] = 90
+    return frame, hidden
+
+
+def test_a_hidden_target_is_held_where_it_was_seen_and_nothing_is_learned(rng: np.random.Generator) -> None:
+    frame, hidden = behind_a_wall(rng)
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    for _ in range(5):
+        before = tracker.update(frame)
+    learned: list[str] = []
+    for _ in range(10):
+        result = tracker.update(hidden, probe=lambda name, _: learned.append(name))
+        assert result.box == before.box
+        assert result.peak < 0.4 * before.peak
+    assert not {"filter_f", "scale_features_train"} & set(learned)
+    again = tracker.update(frame)
+    assert again.box.iou(BOX) > 0.9
+    assert again.peak > 0.8 * before.peak
+
+
+def test_holding_ends_after_its_number_of_frames(rng: np.random.Generator) -> None:
+    frame, hidden = behind_a_wall(rng)
+    tracker = Tracker(TrackerConfig(hold_frames=4))
+    tracker.init(frame, BOX)
+    for _ in range(3):
+        tracker.update(frame)
+    trained = []
+    for _ in range(6):
+        seen: dict[str, Any] = {}
+        tracker.update(hidden, probe=seen.__setitem__)
+        trained.append("filter_f" in seen)
+    assert trained == [False] * 4 + [True] * 2
+
+
+@pytest.mark.parametrize("preset", ["reference", "paper", "bacf"])
+def test_what_was_published_never_holds(rng: np.random.Generator, preset: str) -> None:
+    frame, hidden = behind_a_wall(rng)
+    tracker = Tracker(TrackerConfig.preset(preset, train_interval=1))
+    tracker.init(frame, BOX)
+    tracker.update(frame)
+    seen: dict[str, Any] = {}
+    tracker.update(hidden, probe=seen.__setitem__)
+    assert "filter_f" in seen
+
+
+def test_a_target_that_stays_is_learned_without_cutting_a_second_sample(frame: Image) -> None:
+    for config in (TrackerConfig(), TrackerConfig.preset("reference")):
+        tracker = Tracker(config)
+        tracker.init(frame, BOX)
+        seen: dict[str, Any] = {}
+        tracker.update(frame, probe=seen.__setitem__)
+        assert "patch_train" not in seen
+        assert "filter_f" in seen
+
+
+@pytest.mark.parametrize(("limit_cells", "cuts"), [(0.0, True), (2.0, False), (0.5, True)])
+def test_a_small_displacement_shifts_the_sample_where_the_limit_allows(
+    frame: Image, limit_cells: float, cuts: bool
+) -> None:
+    tracker = Tracker(TrackerConfig(shift_limit_cells=limit_cells))
+    tracker.init(frame, BOX)
+    seen: dict[str, Any] = {}
+    tracker.update(np.roll(frame, 4, axis=1), probe=seen.__setitem__)  # about 1.2 cells
+    assert ("patch_train" in seen) is cuts
+
+
+def test_a_shifted_sample_is_nearly_the_one_cut_anew(frame: Image) -> None:
+    models = []
+    for limit_cells in (0.0, 2.0):
+        tracker = Tracker(TrackerConfig(shift_limit_cells=limit_cells, learning_rate=1.0))
+        tracker.init(frame, BOX)
+        seen: dict[str, Any] = {}
+        tracker.update(np.roll(frame, (2, 4), axis=(0, 1)), probe=seen.__setitem__)
+        models.append(seen["model_f"])
+    cosine = np.vdot(models[0], models[1]).real / (np.linalg.norm(models[0]) * np.linalg.norm(models[1]))
+    assert cosine > 0.85
+
+
 # --- targets and frames at the edge of what makes sense ---
 
 
