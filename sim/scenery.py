@@ -10,7 +10,7 @@ from sim.world import Bridge, Car, ColorBgr, House, Motion, Plot, Road, Scenery,
 
 MAIN_ROAD = Road(is_northward=True, offset_m=0.0, width_m=7.4)
 CROSS_ROAD = Road(is_northward=False, offset_m=34.0, width_m=7.0)
-VIADUCT = Bridge(north_m=-37.0, width_m=8.0, underside_m=5.2, thickness_m=1.1, like_north_m=CROSS_ROAD.offset_m)
+VIADUCT = Bridge(north_m=-37.0, width_m=6.0, underside_m=5.2, thickness_m=1.1, like_north_m=CROSS_ROAD.offset_m)
 
 CAR_COLORS_BGR: tuple[ColorBgr, ...] = (
     (168, 170, 170), (62, 58, 55), (196, 200, 200), (40, 38, 36), (120, 84, 58),
