@@ -36,11 +36,10 @@ STAGE_ENDS = {
     "patch_train": "sample (training)",
     "features_train": "features (training)",
     "h_stage1": "ADMM",
-    "h_final": "ADMM",
     "model_f": "DFT and model",
     "ideal_label_f": "label",
-    "label_f": "label",
-    "filter_f": "label",
+    "label_f": "ADMM",
+    "filter_f": "ADMM",
     "scale_features_train": "scale samples (training)",
 }
 LAST_STAGE = "scale training"

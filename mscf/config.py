@@ -108,7 +108,7 @@ class TrackerConfig:
     scale_model_area_px: float = 512.0  # largest area of a resized scale sample
     scale_learning_rate: float = 0.024
     scale_floor: float = 1e-4  # added to the denominator
-    scale_train_interval: int = 1  # frames from one training to the next
+    scale_train_interval: int = 2  # frames from one training to the next; 1 as published
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
@@ -169,7 +169,12 @@ def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
     return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
-_AS_PUBLISHED: dict[str, Any] = {"oversampling": None, "shift_limit_cells": 0.0, "hold_floor": 0.0}
+_AS_PUBLISHED: dict[str, Any] = {
+    "oversampling": None,
+    "shift_limit_cells": 0.0,
+    "hold_floor": 0.0,
+    "scale_train_interval": 1,
+}
 _REFERENCE: dict[str, Any] = {
     **_AS_PUBLISHED,
     "pedestal_ratio": 0.625,  # 2.5 in the code, but the side is of sample pixels and used as cells of 4 (spec B5)

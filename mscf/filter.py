@@ -3,9 +3,10 @@
 The filter's augmented Lagrangian is solved in its scaled form, with u = l / mu for the multiplier l. Writing
 w = h - u, the Sherman-Morrison solution of the g sub-problem is w plus a rank-one correction,
 
-    g = w + m a,   a = (q - m^H w) / (S_xx + T mu),   so that g + u = h + m a,
+    g = w + m a,   a = (q - m^H w) / (S_xx + T mu),   so that g + u = h + m a.
 
-which is the paper's Eq. 9-12 with fewer passes over the arrays (derivation in docs/equations.md).
+Only a, one number per DFT bin, and h are carried from step to step: m^H w follows from m^H h, and w itself is
+formed once, for the last g. It is the paper's Eq. 9-12 and 14 rearranged (derivation in docs/equations.md).
 Shapes: C channels, M x N cells, T = M N, N' = N//2 + 1 bins of the half spectrum, m x n filter support.
 """
 
@@ -19,21 +20,38 @@ from mscf.spectrum import SupportTransform
 
 
 @dataclass(frozen=True, slots=True)
-class FilterState:
-    """ADMM iterate of the filter."""
+class Model:
+    """What the filter is trained on, and what of it every step needs."""
 
-    g_f: Spectrum  # (C, M, N') the filter, unrestricted; what localisation uses
-    h_sp: Real  # (C, m, n) the filter on its support, in space
-    h_f: Spectrum  # (C, M, N') its DFT
-    u_f: Spectrum  # (C, M, N') scaled multiplier l / mu
-    mu: float  # penalty of the next step
+    m_f: Spectrum  # (C, M, N') running mean of samples
+    energy: Real  # (M, N') S_xx = sum_d |m_d|^2
 
     @classmethod
-    def start(cls, model_f: Spectrum, support: SupportTransform, *, mu: float) -> "FilterState":
+    def of(cls, m_f: Spectrum) -> "Model":
+        """Model for a running mean (C, M, N')."""
+        return cls(m_f, correlate(m_f, m_f).real)
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """ADMM iterate of the filter after its h step; all zero at the start."""
+
+    mu: float  # penalty of the next step
+    h_sp: Real  # (C, m, n) the filter on its support, in space
+    h_f: Spectrum  # (C, M, N') its DFT
+    fit_f: Spectrum  # (M, N') m^H h
+    # of the step before, and by how much the penalty has grown since: with them u = growth^-1 (h' + m a' - h)
+    h_before_f: Spectrum  # (C, M, N')
+    a_before_f: Spectrum  # (M, N')
+    fit_before_f: Spectrum  # (M, N')
+    inverse_growth: float
+
+    @classmethod
+    def start(cls, model: Model, support: SupportTransform, *, mu: float) -> "FilterState":
         """All zero, as each training begins."""
-        zero_f = np.zeros_like(model_f)
-        h_sp = np.zeros((model_f.shape[0], support.rows_inv.shape[0], support.cols_inv.shape[1]), np.float32)
-        return cls(zero_f, h_sp, zero_f, zero_f, mu)
+        h_sp = np.zeros((model.m_f.shape[0], support.rows_inv.shape[0], support.cols_inv.shape[1]), np.float32)
+        zero_f, zero_map_f = np.zeros_like(model.m_f), np.zeros_like(model.m_f[0])
+        return cls(mu, h_sp, zero_f, zero_map_f, zero_f, zero_map_f, zero_map_f, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,36 +79,61 @@ def correlate(a_f: Spectrum, b_f: Spectrum) -> Spectrum:
     return out
 
 
-def filter_step(
-    state: FilterState,
-    model_f: Spectrum,
-    energy: Real,
-    label_f: Spectrum,
-    support: SupportTransform,
-    cfg: TrackerConfig,
-) -> FilterState:
-    """One ADMM iteration of the filter for a given label: g, h, multiplier, penalty (paper Eq. 7-12, 14, 15).
+def solve_g(state: FilterState, model: Model, label_f: Spectrum, cells: int) -> tuple[Spectrum, Spectrum]:
+    """Sub-problem g for a given label, per DFT bin (paper Eq. 8-12).
 
     Parameters
     ----------
-    model_f : (C, M, N') running model m.
-    energy : (M, N') S_xx = sum_d |m_d|^2.
     label_f : (M, N') the label q.
+    cells : T.
+
+    Returns
+    -------
+    a_f : (M, N') the correction, g = w + m a; `filter_of` makes g of it.
+    fit_f : (M, N') m^H g, what the data term compares with the label.
+    """
+    # m^H u = growth^-1 (m^H h' + S_xx a' - m^H h)
+    before_f = state.fit_before_f + model.energy * state.a_before_f - state.fit_f
+    fit_w_f = state.fit_f - np.float32(state.inverse_growth) * before_f  # m^H w
+    # positive denominator, as mu is
+    a_f: Spectrum = (label_f - fit_w_f) / (model.energy + np.float32(cells * state.mu))
+    return a_f, fit_w_f + model.energy * a_f
+
+
+def filter_of(state: FilterState, a_f: Spectrum, model: Model) -> Spectrum:
+    """Filter of a correction, g = h - u + m a: (C, M, N')."""
+    u_f = model.m_f * state.a_before_f
+    u_f += state.h_before_f
+    u_f -= state.h_f
+    u_f *= np.float32(state.inverse_growth)
+    g_f: Spectrum = model.m_f * a_f
+    g_f += state.h_f
+    g_f -= u_f
+    return g_f
+
+
+def restrict(
+    state: FilterState, a_f: Spectrum, model: Model, support: SupportTransform, cfg: TrackerConfig
+) -> FilterState:
+    """Sub-problem h, in space and cropped to the support, multiplier and penalty (paper Eq. 7, 14, 15).
+
+    h = T mu / (T mu + lambda1) crop(IDFT(g + u)), and g + u = h' + m a with h' already on the support.
     """
     cells = support.size_mn[0] * support.size_mn[1]  # T
-    mu = state.mu
-    w_f = state.h_f - state.u_f
-    # sub-problem g, per DFT bin; the denominator is positive as mu is
-    a_f = (label_f - correlate(model_f, w_f)) / (energy + np.float32(cells * mu))  # (M, N')
-    correction_f = model_f * a_f
-    g_f = w_f + correction_f
-    # sub-problem h, in space, cropped to the support: T mu / (T mu + lambda1) (g + u)
-    sum_f = state.h_f + correction_f  # g + u
-    h_sp = np.float32(cells * mu / (cells * mu + cfg.filter_weight)) * support.inverse(sum_f)
+    shrink = np.float32(cells * state.mu / (cells * state.mu + cfg.filter_weight))
+    h_sp = shrink * (state.h_sp + support.inverse(model.m_f * a_f))
     h_f = support.forward(h_sp)
-    mu_next = min(cfg.penalty_growth * mu, cfg.penalty_max)
-    u_f = (sum_f - h_f) * np.float32(mu / mu_next)  # u + g - h, rescaled to the next penalty
-    return FilterState(g_f, h_sp, h_f, u_f, mu_next)
+    mu = min(cfg.penalty_growth * state.mu, cfg.penalty_max)
+    return FilterState(
+        mu=mu,
+        h_sp=h_sp,
+        h_f=h_f,
+        fit_f=correlate(model.m_f, h_f),
+        h_before_f=state.h_f,
+        a_before_f=a_f,
+        fit_before_f=state.fit_f,
+        inverse_growth=state.mu / mu,
+    )
 
 
 def label_split_step(
@@ -154,27 +197,33 @@ def learn(
     ideal_f, previous_f : (M, N') Omega of this frame, and the label of the last training.
     threat : mutation threat factor of this frame.
     """
-    energy = correlate(model_f, model_f).real  # S_xx
-    state = FilterState.start(model_f, support, mu=cfg.penalty)
-    label_f = ideal_f
-    cells = support.size_mn[0] * support.size_mn[1]
+    model = Model.of(model_f)
+    state = FilterState.start(model, support, mu=cfg.penalty)
+    cells = support.size_mn[0] * support.size_mn[1]  # T
 
     if cfg.label_rule == "split":  # filter with Omega, then the label, then the filter with it (spec B10)
         for _ in range(cfg.iterations):
-            state = filter_step(state, model_f, energy, ideal_f, support, cfg)
+            a_f, _ = solve_g(state, model, ideal_f, cells)
+            state = restrict(state, a_f, model, support, cfg)
         probe("h_stage1", state.h_sp)
-        correlation_f = correlate(state.h_f, model_f)
         label = LabelState(previous_f, np.zeros_like(ideal_f), cfg.label_penalty)
         for _ in range(cfg.iterations):
-            label = label_split_step(label, correlation_f, ideal_f, previous_f, cells, cfg)
+            label = label_split_step(label, state.fit_f.conj(), ideal_f, previous_f, cells, cfg)
         label_f = label.r_f
-        for _ in range(cfg.iterations):
-            state = filter_step(state, model_f, energy, label_f, support, cfg)
+        a_f, _ = solve_g(state, model, label_f, cells)
+        for _ in range(cfg.iterations - 1):
+            state = restrict(state, a_f, model, support, cfg)
+            a_f, _ = solve_g(state, model, label_f, cells)
     else:
-        for _ in range(cfg.iterations):
-            state = filter_step(state, model_f, energy, label_f, support, cfg)
+        # the label before the first iteration is the ideal one: the paper does not say
+        label_f = ideal_f
+        a_f, fit_f = solve_g(state, model, label_f, cells)
+        for _ in range(cfg.iterations - 1):
             if cfg.label_rule == "joint":
-                fit_f = correlate(model_f, state.g_f)  # m^H g, what the data term compares with r
                 label_f = closed_form_label(fit_f, ideal_f, previous_f, threat=threat, cfg=cfg)
-    probe("h_final", state.h_sp)
-    return Learned(state.g_f, label_f)
+            state = restrict(state, a_f, model, support, cfg)
+            a_f, fit_f = solve_g(state, model, label_f, cells)
+        if cfg.label_rule == "joint":
+            label_f = closed_form_label(fit_f, ideal_f, previous_f, threat=threat, cfg=cfg)
+    # the h step of the last iteration would change nothing that is used
+    return Learned(filter_of(state, a_f, model), label_f)

@@ -12,7 +12,8 @@ import numpy as np
 
 from mscf.arrays import Real, Real64, Spectrum
 
-NEWTON_STEPS = 5  # spec B6
+NEWTON_STEPS = 5  # at most (spec B6)
+CONVERGED_RAD = 1e-5
 
 
 def dft(x: Real) -> Spectrum:
@@ -127,7 +128,10 @@ def locate_peak(response: Real) -> tuple[float, float]:
         if det == 0 or not np.isfinite(det):
             break
         g_r, g_c = moments[1, 0], moments[0, 1]
-        angle_rc = angle_rc - np.array([h_cc * g_r - h_rc * g_c, h_rr * g_c - h_rc * g_r]) / det
+        step_rc = np.array([h_cc * g_r - h_rc * g_c, h_rr * g_c - h_rc * g_r]) / det
+        angle_rc = angle_rc - step_rc
+        if np.abs(step_rc).max() < CONVERGED_RAD:  # a further step would be its square
+            break
     value = _derivatives(response_ff, weights_r, weights_c, angle_rc, k_r, k_c)[0, 0]
     if not value >= response[row, col]:  # also where it is NaN
         return float(grid_rc[0]), float(grid_rc[1])
