@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mscf.arrays import Image, Probe, Real, Spectrum, no_probe
+from mscf.confidence import FIRST_PEAKS, confidence
 from mscf.config import TrackerConfig
 from mscf.errors import BoxError, FrameError, TrackerNotInitialisedError
 from mscf.features.fhog import CELL_PX
@@ -31,7 +32,7 @@ class TrackResult:
     peak: float  # maximum of the response map
     threat: float  # mutation threat factor, 0 where there is no sub-peak
     scale: float  # size of the target over its size in the first frame
-    confidence: float  # 0..1
+    confidence: float  # 0..1: how likely the box holds the target; see mscf.confidence for what that is worth
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,7 @@ class State:
     label_f: Spectrum  # (M, N') r
     scale_filter: ScaleFilter
     peak_mean: float  # running mean of the response's peak; NaN before the first response
+    first_peak: float  # mean of the first peaks, what a good response looks like; 0 before
     held: int  # frames for which the target has been held hidden
 
 
@@ -113,7 +115,7 @@ class Tracker:
         scale_filter = train_scale(features, None, plan.scale)
         self._started = (
             plan,
-            State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter, math.nan, 0),
+            State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter, math.nan, 0.0, 0),
         )
 
     def update(self, frame: Image, *, probe: Probe = no_probe) -> TrackResult:
@@ -148,6 +150,7 @@ class Tracker:
         # SELECTION (paper Eq. 1, 2)
         threat = measure_threat(response, self._config, probe)
 
+        state = remember_first_peaks(state, peak)
         if is_hidden(peak, state, self._config):
             after = replace(state, frame_index=state.frame_index + 1, held=state.held + 1)
         else:
@@ -171,7 +174,8 @@ class Tracker:
 
         self._started = plan, after
         box = plan.box_at(after.pos_rc, after.scale)
-        return TrackResult(box, peak, threat, after.scale / plan.first_scale, 0.0)
+        sure = confidence(response, state.first_peak)
+        return TrackResult(box, peak, threat, after.scale / plan.first_scale, sure)
 
 
 def sample_features(
@@ -198,6 +202,14 @@ def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, floa
     row, col = nearest_pixel(state.pos_rc)
     cell_px = CELL_PX * state.scale
     return row + offset_rc[0] * cell_px, col + offset_rc[1] * cell_px
+
+
+def remember_first_peaks(state: State, peak: float) -> State:
+    """State with the mean of the first few peaks, this one included."""
+    count = state.frame_index + 1
+    if count > FIRST_PEAKS:
+        return state
+    return replace(state, first_peak=state.first_peak + (peak - state.first_peak) / count)
 
 
 def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:
