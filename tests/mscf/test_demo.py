@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 from mover import FRAMES
@@ -72,8 +73,6 @@ def test_a_broken_image_in_the_middle_keeps_what_was_tracked(
 
 
 def test_a_frame_of_another_size_names_itself(sequence_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import cv2
-
     cv2.imwrite(str(sequence_dir / "img" / "000005.png"), np.zeros((50, 50, 3), np.uint8))
     assert cli.main(["demo", str(sequence_dir)]) == 2
     assert "mover, frame 5: the frame has the shape (50, 50, 3)" in capsys.readouterr().err

@@ -56,7 +56,7 @@ def test_only_mp4_is_written(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_written_is_named_before_anything_is_done(tmp_path: Path) -> None:
-    for make in (lambda p: VideoFile(p / "a.mp4", 30), lambda p: BoxFile(p / "a.txt"), lambda p: check_writable(p)):
+    for make in (lambda p: VideoFile(p / "a.mp4", 30), lambda p: BoxFile(p / "a.txt"), check_writable):
         with pytest.raises(OutputError, match="cannot be written: No such file or directory"):
             make(tmp_path / "nowhere" / "below")
     with pytest.raises(OutputError, match="cannot be written: Is a directory"):

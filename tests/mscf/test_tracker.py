@@ -193,7 +193,7 @@ def test_a_target_that_stays_is_learned_without_cutting_a_second_sample(frame: I
 
 @pytest.mark.parametrize(("limit_cells", "cuts"), [(0.0, True), (4.0, False), (0.5, True)])
 def test_a_small_displacement_shifts_the_sample_where_the_limit_allows(
-    frame: Image, limit_cells: float, cuts: bool
+    frame: Image, limit_cells: float, *, cuts: bool
 ) -> None:
     tracker = Tracker(TrackerConfig(shift_limit_cells=limit_cells))
     tracker.init(frame, BOX)
