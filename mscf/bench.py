@@ -20,6 +20,7 @@ from mscf.config import TrackerConfig
 from mscf.errors import SourceError
 from mscf.evaluation.peers import CSRT_MISSING, CsrtTracker, has_csrt
 from mscf.geometry import Box
+from mscf.recording import check_writable
 from mscf.source import Source
 from mscf.tracker import Tracker
 
@@ -28,9 +29,10 @@ STAGE_ENDS = {
     "patch_detect": "sample (detection)",
     "features_detect": "features (detection)",
     "response": "DFT and response",
-    "pos_rc": "peak",
     "threat_window": "threat",
     "threat_maxima": "threat",
+    "threat": "threat",
+    "pos_rc": "peak",
     "scale_features_detect": "scale samples (detection)",
     "scale_response": "scale response",
     "patch_train": "sample (training)",
@@ -42,7 +44,7 @@ STAGE_ENDS = {
     "filter_f": "ADMM",
     "scale_features_train": "scale samples (training)",
 }
-LAST_STAGE = "scale training"
+LAST_STAGE = "scale training, confidence"
 FLATNESS_UPDATES = 40
 FLATNESS_CASES = (("720p, 40 px", 720, 1280, 40), ("4K, 40 px", 2160, 3840, 40), ("720p, 400 px", 720, 1280, 400))
 
@@ -98,6 +100,8 @@ def run_bench(source: Source, preset: str, max_frames: int, out: TextIO, json_pa
     box = source.truth[0] if source.truth else None
     if len(frames) < 3 or box is None:
         raise SourceError(f"{source.name}: a measurement needs at least three frames and a groundtruth.txt")
+    if json_path is not None:
+        check_writable(json_path)
     config = TrackerConfig.preset(preset)
     result = _measure(frames, box, config)
     _print(result, source.name, preset, out)
@@ -132,19 +136,24 @@ def _time_ms(action: Any) -> float:
 
 
 def _flatness(config: TrackerConfig) -> dict[str, float]:
-    """Mean update on noise textures of several frame and target sizes, interleaved; the target stands still."""
+    """Mean update by size of frame and target, interleaved, on noise textures.
+
+    The picture jumps to and fro by more than a sample is shifted for, so that every update cuts a second one.
+    """
     rng = np.random.default_rng(0)
     cases = []
     for name, rows, cols, side in FLATNESS_CASES:
         coarse = rng.integers(0, 256, (rows // 8, cols // 8, 3), dtype=np.uint8)
-        frame = np.asarray(cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        still = np.asarray(cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        jump_px = round(0.1 * side * (config.shift_limit_cells + 2))  # a cell is about a tenth of the target
+        frames = still, np.roll(still, jump_px, axis=1)
         tracker = Tracker(config)
-        tracker.init(frame, Box((cols - side) / 2, (rows - side) / 2, side, side))
-        cases.append((name, frame, tracker))
+        tracker.init(still, Box((cols - side) / 2, (rows - side) / 2, side, side))
+        cases.append((name, frames, tracker))
     times: dict[str, list[float]] = {name: [] for name, _, _ in cases}
-    for _ in range(FLATNESS_UPDATES):
-        for name, frame, tracker in cases:
-            times[name].append(_time_ms(lambda: tracker.update(frame)))  # noqa: B023 - called at once
+    for index in range(1, FLATNESS_UPDATES + 1):
+        for name, frames, tracker in cases:
+            times[name].append(_time_ms(lambda: tracker.update(frames[index % 2])))  # noqa: B023 - called at once
     return {name: fmean(ms[2:]) for name, ms in times.items()}
 
 

@@ -1,11 +1,14 @@
 """Command `mscf`: demo, eval, bench."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import NoReturn
 
+import cv2
 from threadpoolctl import threadpool_limits
 
 from mscf.bench import run_bench
@@ -20,12 +23,17 @@ from mscf.source import open_source
 
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
+EXIT_BROKEN_PIPE = 141
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status: 0, 2 for bad input, 130 for Ctrl-C."""
     arguments = _parser().parse_args(argv)
     threadpool_limits(1, "blas")  # the tracker's matrix products are too small to be worth sharing
+    cv2.setNumThreads(1)
+    # what these would print of a broken file is said in one line of our own
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
         return int(arguments.run(arguments))
     except MscfError as error:
@@ -33,10 +41,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_USAGE
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
+    except BrokenPipeError:  # whoever read our output has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line; `--help` has the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="mscf", description="MSCF correlation filter tracker: see it, measure it.")
+    parser = _Parser(prog="mscf", description="MSCF correlation filter tracker: see it, measure it.")
     parser.add_argument("--version", action="version", version=f"mscf {version('mscf-companion')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_demo(commands)
@@ -45,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_demo(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def _add_demo(commands: "argparse._SubParsersAction[_Parser]") -> None:
     demo = commands.add_parser(
         "demo",
         help="track a target through a video, images, a camera, or the built-in flight",
@@ -86,7 +104,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     return 0 if is_complete else EXIT_INTERRUPTED
 
 
-def _add_eval(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def _add_eval(commands: "argparse._SubParsersAction[_Parser]") -> None:
     evaluate = commands.add_parser(
         "eval",
         help="accuracy on sequences with ground truth",
@@ -120,7 +138,7 @@ def _eval(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _add_bench(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+def _add_bench(commands: "argparse._SubParsersAction[_Parser]") -> None:
     bench = commands.add_parser(
         "bench",
         help="milliseconds by stage, beside OpenCV's CSRT",
@@ -156,5 +174,5 @@ def _count(text: str) -> int:
     except ValueError:
         count = 0
     if count < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of frames: give a whole number from 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is no count: give a whole number from 1")
     return count

@@ -6,8 +6,9 @@ Every field names its unit; sources are the paper (arXiv:2106.08073, section IV-
 
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
+from numbers import Integral
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self, SupportsFloat, get_args
 
 from mscf.errors import ConfigError
 
@@ -115,10 +116,19 @@ class TrackerConfig:
             value = getattr(self, name)
             if value is None and name == "oversampling":
                 continue
-            if isinstance(value, bool) or not isinstance(value, int | float):
+            if isinstance(value, bool) or not isinstance(value, SupportsFloat):
                 raise ConfigError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
-            if not low <= value <= high:
+            if not low <= float(value) <= high:
                 raise ConfigError(f"{name} must be from {low:g} to {high:g}, got {value!r}")
+        self._check_kinds()
+        if self.sample_side_px % 8:
+            raise ConfigError(f"sample_side_px must be a multiple of 8, got {self.sample_side_px}")
+        if self.scale_count % 2 == 0:
+            raise ConfigError(f"scale_count must be odd, got {self.scale_count}")
+        if self.penalty_max < self.penalty:
+            raise ConfigError(f"penalty_max must be at least penalty = {self.penalty:g}, got {self.penalty_max:g}")
+
+    def _check_kinds(self) -> None:
         for name in (
             "sample_side_px",
             "hold_frames",
@@ -127,19 +137,18 @@ class TrackerConfig:
             "scale_count",
             "scale_train_interval",
         ):
-            if not isinstance(getattr(self, name), int):
+            if not isinstance(getattr(self, name), Integral):
                 raise ConfigError(f"{name} must be a whole number, got {getattr(self, name)!r}")
         for name, rules in (("label_rule", get_args(LabelRule)), ("threat_rule", get_args(ThreatRule))):
             if getattr(self, name) not in rules:
                 raise ConfigError(f"{name} must be one of {', '.join(rules)}, got {getattr(self, name)!r}")
-        if self.sample_side_px % 8:
-            raise ConfigError(f"sample_side_px must be a multiple of 8, got {self.sample_side_px}")
-        if self.scale_count % 2 == 0:
-            raise ConfigError(f"scale_count must be odd, got {self.scale_count}")
-        if self.penalty_max < self.penalty:
-            raise ConfigError(f"penalty_max must be at least penalty = {self.penalty:g}, got {self.penalty_max:g}")
-        if self.color_table is not None and not isinstance(self.color_table, Path):
+        for name in ("pedestal_centred", "pedestal_at_start"):
+            if not isinstance(getattr(self, name), bool):
+                raise ConfigError(f"{name} must be True or False, got {getattr(self, name)!r}")
+        if isinstance(self.color_table, str):
             object.__setattr__(self, "color_table", Path(self.color_table))
+        if not (self.color_table is None or isinstance(self.color_table, Path)):
+            raise ConfigError(f"color_table must be a path or None, got {self.color_table!r}")
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Self:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal, Self, TextIO
@@ -14,9 +15,9 @@ from tqdm import tqdm
 
 from mscf.arrays import Image, Real
 from mscf.config import TrackerConfig
-from mscf.errors import FrameError, SourceError
+from mscf.errors import FrameError, OutputError, SourceError
 from mscf.evaluation.metrics import score
-from mscf.figure import Track, save_figure
+from mscf.figure import Track, check_plottable, save_figure
 from mscf.geometry import Box
 from mscf.mutation import threat_of_peaks
 from mscf.overlay import Shown, draw
@@ -63,10 +64,11 @@ class _Contestant:
         begin_s = time.perf_counter()
         result = self.tracker.update(frame, probe=self._keep_response)
         self.update_ms.append((time.perf_counter() - begin_s) * 1e3)
-        self.boxes.append(result.box)
         assert self.response is not None  # every update shows it
         cfg = self.tracker.config
-        self.threats.append(threat_of_peaks(self.response, nu=cfg.threat_nu, delta=cfg.threat_delta))
+        threat = threat_of_peaks(self.response, nu=cfg.threat_nu, delta=cfg.threat_delta)
+        self.boxes.append(result.box)
+        self.threats.append(threat)
 
     def _keep_response(self, name: str, array: npt.NDArray[Any], /) -> None:
         if name == "response":
@@ -98,8 +100,7 @@ def run_demo(source: Source, options: DemoOptions, out: TextIO, log: TextIO) -> 
     """
     box = options.box or _first_truth(source)
     contestants = [_Contestant(name, Tracker(TrackerConfig.preset(name))) for name in options.presets]
-    if options.plot is not None:
-        check_writable(options.plot)
+    _check_outputs(source, options)
     is_complete = True
     try:
         with ExitStack() as files:
@@ -114,7 +115,23 @@ def run_demo(source: Source, options: DemoOptions, out: TextIO, log: TextIO) -> 
     finally:
         if contestants[0].boxes:
             _report(source, options, contestants, out)
+            if options.plot is not None:
+                _plot(options.plot, source, contestants, out)
     return is_complete
+
+
+def _check_outputs(source: Source, options: DemoOptions) -> None:
+    """Refuse now what would fail, or do harm, after a long run."""
+    outputs = [path for path in (options.save, options.boxes, options.plot) if path is not None]
+    read = {path.resolve() for path in source.files}
+    for path in outputs:
+        if path.resolve() in read:
+            raise OutputError(f"{path} is read by this run: give another place to write to")
+        if sum(path.resolve() == other.resolve() for other in outputs) > 1:
+            raise OutputError(f"{path} is given for two outputs: give each a place of its own")
+        check_writable(path)
+    if options.plot is not None:
+        check_plottable(options.plot)
 
 
 def _track(
@@ -128,9 +145,7 @@ def _track(
     progress: "_Progress",
 ) -> None:
     leader = contestants[0]
-    for index, frame in enumerate(frames):
-        if options.max_frames is not None and index >= options.max_frames:
-            break
+    for index, frame in enumerate(islice(frames, options.max_frames)):
         try:
             for contestant in contestants:
                 if index == 0:
@@ -169,21 +184,27 @@ def _first_truth(source: Source) -> Box:
 
 
 def _report(source: Source, options: DemoOptions, contestants: Sequence[_Contestant], out: TextIO) -> None:
-    if options.plot is not None:
-        tracks = [Track(c.name, c.boxes, c.threats) for c in contestants]
-        save_figure(options.plot, f"{source.name}, {len(contestants[0].boxes)} frames", tracks, source.truth)
     for contestant in contestants:
-        done = min(len(contestant.boxes), len(source.truth))
+        truth = source.truth[: len(contestant.boxes)]
         text = f"{contestant.name}: {len(contestant.boxes)} frames"
         if contestant.update_ms:
             text += f", {median(contestant.update_ms):.1f} ms an update (median)"
-        if done:
-            found = score(contestant.boxes[:done], source.truth[:done])
+        if any(true is not None for true in truth):
+            found = score(contestant.boxes[: len(truth)], truth)
             text += f", precision at 20 px {found.precision:.3f}, AUC {found.auc:.3f}"
         print(text, file=out)
-    for path in (options.save, options.boxes, options.plot):
-        if path is not None and path.exists():
+    for path in (options.save, options.boxes):
+        if path is not None:
             print(f"wrote {path}", file=out)
+
+
+def _plot(path: Path, source: Source, contestants: Sequence[_Contestant], out: TextIO) -> None:
+    # Ctrl-C may have come between two trackers of one frame
+    count = min(len(contestant.threats) for contestant in contestants)
+    if count:
+        tracks = [Track(c.name, c.boxes[:count], c.threats[:count]) for c in contestants]
+        save_figure(path, f"{source.name}, {count} frames", tracks, source.truth)
+        print(f"wrote {path}", file=out)
 
 
 class _Progress:

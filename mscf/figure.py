@@ -9,9 +9,10 @@ import numpy as np
 from mscf.errors import OutputError
 from mscf.evaluation.metrics import center_errors_px, overlaps
 from mscf.geometry import Box
+from mscf.overlay import COLORS_BGR
 
-# one colour a tracker, as in the video
-COLORS = ("#ff5028", "#28a0ff", "#38b838", "#d8b010", "#c85ae6", "#28a8a8")
+# one colour a tracker, those of the video
+COLORS = tuple(f"#{red:02x}{green:02x}{blue:02x}" for blue, green, red in COLORS_BGR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +22,23 @@ class Track:
     name: str
     boxes: Sequence[Box]
     threats: Sequence[float]
+
+
+def check_plottable(path: Path) -> None:
+    """Fail now rather than after a long run.
+
+    Raises
+    ------
+    OutputError
+        If Matplotlib is not installed or does not write such a file.
+    """
+    try:
+        from matplotlib.backend_bases import FigureCanvasBase  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise OutputError("a plot needs Matplotlib: pip install 'mscf-companion[plots]'") from error
+    kinds = FigureCanvasBase.get_supported_filetypes()
+    if path.suffix.lower().removeprefix(".") not in kinds:
+        raise OutputError(f"{path} cannot be plotted to: give a name that ends with one of .{' .'.join(sorted(kinds))}")
 
 
 def save_figure(path: Path, title: str, tracks: Sequence[Track], truth: Sequence[Box | None]) -> None:
@@ -34,12 +52,10 @@ def save_figure(path: Path, title: str, tracks: Sequence[Track], truth: Sequence
     Raises
     ------
     OutputError
-        If Matplotlib is not installed or the file cannot be written.
+        If the file cannot be written. What `check_plottable` refuses is not to be given.
     """
-    try:
-        from matplotlib.figure import Figure  # noqa: PLC0415 - an extra; without --plot nobody needs it
-    except ImportError as error:
-        raise OutputError("a plot needs Matplotlib: pip install 'mscf-companion[plots]'") from error
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra; without --plot nobody needs it
+
     panels = 4 if truth else 2
     figure = Figure(figsize=(10, 2.3 * panels + 0.6), layout="constrained")
     axes = figure.subplots(panels, 1, sharex=True)
@@ -56,7 +72,7 @@ def save_figure(path: Path, title: str, tracks: Sequence[Track], truth: Sequence
     axes[0].set(ylabel="mutation threat\nfactor", ylim=(0, None))
     axes[1].set(ylabel="change from\nframe to frame", ylim=(0, None))
     if truth:
-        axes[2].set(ylabel="centre error\n(px)", yscale="symlog")
+        axes[2].set(ylabel="centre error\n(px)", yscale="symlog", ylim=(0, None))
         axes[2].axhline(20, color="0.6", lw=0.8, ls="--")
         axes[3].set(ylabel="overlap (IoU)", ylim=(0, 1))
     axes[-1].set(xlabel="frame")

@@ -10,6 +10,7 @@ Three conventions meet here and nowhere else:
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Self
 
 
@@ -29,8 +30,9 @@ class Box:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all four numbers are finite."""
-        return all(map(math.isfinite, (self.x, self.y, self.w, self.h)))
+        """Whether all four are finite numbers."""
+        values = (self.x, self.y, self.w, self.h)
+        return all(isinstance(value, Real) and math.isfinite(value) for value in values)
 
     @classmethod
     def from_one_based(cls, x: float, y: float, w: float, h: float) -> Self:

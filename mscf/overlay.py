@@ -92,7 +92,7 @@ def _panels(picture: Image, trackers: Sequence[Shown], response: Real | None, un
     height = min(round(_PANEL_SHARE * rows), cols // 3)
     margin = round(10 * unit)
     top = rows - height - margin
-    if height < 24:  # too small to read anything
+    if height < 24 or 2 * margin + height > cols:  # too small to read anything
         return
     if response is not None:
         picture[top : top + height, margin : margin + height] = _response_picture(response, height)

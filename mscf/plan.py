@@ -66,7 +66,7 @@ class Plan:
             pedestal=pedestal(grid_mn, arm_mn, centred=cfg.pedestal_centred),
             gaussian_f=dft(gaussian),
             support=SupportTransform.centred(grid_mn, support_mn),
-            scale=ScalePlan.make(cfg, size_hw, base_hw, (frame_shape[0], frame_shape[1])),
+            scale=ScalePlan.make(cfg, size_hw, first_scale, (frame_shape[0], frame_shape[1])),
         )
 
     def box_at(self, pos_rc: tuple[float, float], scale: float) -> Box:

@@ -1,9 +1,11 @@
 """Files that a run writes frame by frame; each is complete and usable after whatever ends the run."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TextIO
 
 from mscf.arrays import Image
 from mscf.errors import OutputError
@@ -23,31 +25,59 @@ def check_writable(path: Path) -> None:
         If no file can be written there. What is there is not touched.
     """
     existed = path.exists()
-    try:
-        with path.open("ab"):
-            pass
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror}; give another place") from error
+    with _naming(path), path.open("ab"):
+        pass
     if not existed:
         path.unlink()
 
 
 class BoxFile:
-    """Text file with a box a line: x,y,w,h, 1-based, as ground-truth files of tracking data sets have it."""
+    """Text file with a box a line: x,y,w,h, 1-based, as ground-truth files of tracking data sets have it.
+
+    It appears with the first box, so that a run that fails before leaves what was there.
+    """
 
     def __init__(self, path: Path) -> None:
+        """Prepare to write.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
         check_writable(path)
-        self._file = path.open("w", buffering=1)  # a line at a time: nothing tracked is lost
+        self._path = path
+        self._file: TextIO | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        if self._file is not None:
+            with _naming(self._path):
+                self._file.close()
 
     def write(self, box: Box) -> None:
-        """Append one frame's box."""
-        self._file.write(",".join(f"{value:.2f}" for value in box.to_one_based()) + "\n")
+        """Append one frame's box; it is on disk when this returns.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written any more.
+        """
+        with _naming(self._path):
+            if self._file is None:
+                self._file = self._path.open("w", buffering=1)  # a line at a time
+            self._file.write(",".join(f"{value:.2f}" for value in box.to_one_based()) + "\n")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn what the system says into one line with the path."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}; give another place") from error
 
 
 class VideoFile:
@@ -100,17 +130,31 @@ class VideoFile:
             picture = self._av.VideoFrame.from_ndarray(frame[:rows, :cols], format="bgr24")
             self._container.mux(self._stream.encode(picture))
         except (OSError, self._av.FFmpegError) as error:
-            raise OutputError(f"{self._path} cannot be written: {error}") from error
+            self._stream = None  # flushing into what has failed once may crash FFmpeg
+            self.close()
+            raise self._error(error) from error
 
     def close(self) -> None:
-        """Finish the file; safe to call twice."""
+        """Finish the file; safe to call twice.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be finished, unless an error of writing has been raised before.
+        """
         container, stream = self._container, self._stream
         self._container = self._stream = None
-        if container is None or stream is None:
+        if container is None:
             return
         try:
-            container.mux(stream.encode(None))
+            try:
+                if stream is not None:
+                    container.mux(stream.encode(None))
+            finally:
+                container.close()
         except (OSError, self._av.FFmpegError) as error:
-            raise OutputError(f"{self._path} cannot be finished: {error}") from error
-        finally:
-            container.close()
+            if stream is not None:
+                raise self._error(error) from error
+
+    def _error(self, error: Exception) -> OutputError:
+        return OutputError(f"{self._path} cannot be written: {error}; give another place")

@@ -26,9 +26,14 @@ class ScalePlan:
 
     @classmethod
     def make(
-        cls, cfg: TrackerConfig, size_hw: tuple[float, float], base_hw: tuple[float, float], frame_hw: tuple[int, int]
+        cls, cfg: TrackerConfig, size_hw: tuple[float, float], first_scale: float, frame_hw: tuple[int, int]
     ) -> "ScalePlan":
-        """Plan for a target of `size_hw` pixels in frames of `frame_hw`."""
+        """Plan for a target of `size_hw` pixels, at scale factor `first_scale`, in frames of `frame_hw`.
+
+        Deviation from the published limits: the first scale is always within them. There, a target that is
+        larger than the frame, or tiny, jumps to the limit at once.
+        """
+        base_hw = size_hw[0] / first_scale, size_hw[1] / first_scale
         count, step = cfg.scale_count, cfg.scale_step
         middle = count // 2
         offset = np.arange(count) - middle
@@ -47,7 +52,7 @@ class ScalePlan:
             label_f=np.fft.rfft(label).astype(np.complex64),
             model_hw=model_hw,
             base_hw=base_hw,
-            limits=(min(smallest, largest), largest),
+            limits=(min(smallest, first_scale), max(largest, first_scale)),
             config=cfg,
         )
 

@@ -13,9 +13,10 @@ import numpy as np
 
 from mscf.arrays import Image
 from mscf.errors import SourceError
-from mscf.evaluation.datasets import IMAGE_SUFFIXES, image_files, read_image, read_truth
 from mscf.geometry import Box
+from mscf.images import IMAGE_SUFFIXES, image_files, in_order, read_image, read_truth
 
+COUNTING_SUFFIXES = frozenset({".mp4", ".mov", ".m4v"})
 SYNTHETIC_FLIGHT = "synthetic-flight"  # entry point in group mscf.sources; `sim` provides it, and imports us
 IMAGE_FRAMES_PER_S = 30.0  # images carry no rate
 
@@ -31,6 +32,8 @@ class Source(Protocol):
     def frame_count(self) -> int | None: ...  # None: not known, or endless
     @property
     def truth(self) -> tuple[Box | None, ...]: ...  # 0-based, a box a frame; empty: not known
+    @property
+    def files(self) -> tuple[Path, ...]: ...  # what is read, and so must not be written
 
     def __iter__(self) -> Iterator[Image]: ...
 
@@ -42,7 +45,13 @@ class ImageSource:
     name: str
     images: tuple[Path, ...]
     truth: tuple[Box | None, ...] = ()
+    truth_path: Path | None = None
     frames_per_s: float = IMAGE_FRAMES_PER_S
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The images, and the truth beside them."""
+        return self.images if self.truth_path is None else (*self.images, self.truth_path)
 
     @property
     def frame_count(self) -> int:
@@ -60,12 +69,17 @@ class VideoSource:
     path: Path
     frames_per_s: float
     frame_count: int | None  # as the container says
-    truth: tuple[Box | None, ...] = ()
+    truth: tuple[()] = ()
 
     @property
     def name(self) -> str:
         """Name of the file."""
         return self.path.name
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file."""
+        return (self.path,)
 
     @classmethod
     def open(cls, path: Path) -> "VideoSource":
@@ -84,8 +98,9 @@ class VideoSource:
             count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         finally:
             capture.release()
-        is_rate = np.isfinite(rate) and 0 < rate <= 1000
-        return cls(path, float(rate) if is_rate else IMAGE_FRAMES_PER_S, count if count > 0 else None)
+        # only these containers store a count; of others OpenCV guesses it from the duration
+        has_count = count > 0 and path.suffix.lower() in COUNTING_SUFFIXES
+        return cls(path, _sane_rate(rate), count if has_count else None)
 
     def __iter__(self) -> Iterator[Image]:
         capture = cv2.VideoCapture(str(self.path))
@@ -105,35 +120,39 @@ class VideoSource:
             raise SourceError(f"{text}: the file is damaged or cut short, copy it again")
 
 
-@dataclass(frozen=True, slots=True)
 class CameraSource:
     """A V4L2 camera, as fast as it delivers; endless."""
 
-    device: str
-    frames_per_s: float = IMAGE_FRAMES_PER_S
     frame_count: None = None
-    truth: tuple[Box | None, ...] = ()
+    truth: tuple[()] = ()
+    files: tuple[()] = ()
 
-    @property
-    def name(self) -> str:
-        """Path of the device."""
-        return self.device
+    def __init__(self, device: str) -> None:
+        """Open the camera, to know its rate.
+
+        Raises
+        ------
+        SourceError
+            If it cannot be opened.
+        """
+        self.name = device
+        self._capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            text = f"camera {device} cannot be opened: is it there (ls /dev/video*), free, and readable for you"
+            raise SourceError(f"{text} (group video)?")
+        self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the default queue of four delivers old frames
+        self.frames_per_s = _sane_rate(self._capture.get(cv2.CAP_PROP_FPS))
 
     def __iter__(self) -> Iterator[Image]:
-        capture = cv2.VideoCapture(self.device, cv2.CAP_V4L2)
         try:
-            if not capture.isOpened():
-                text = f"camera {self.device} cannot be opened: is it there (ls /dev/video*), free, and readable"
-                raise SourceError(f"{text} for you (group video)?")
-            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the default queue of four delivers old frames
             while True:
-                is_read, frame = capture.read()
+                is_read, frame = self._capture.read()
                 if not is_read:
-                    raise SourceError(f"camera {self.device} stopped delivering frames: was it unplugged?")
+                    raise SourceError(f"camera {self.name} stopped delivering frames: was it unplugged?")
                 yield np.asarray(frame, dtype=np.uint8)
         finally:
-            capture.release()
+            self._capture.release()
 
 
 def open_source(text: str | None) -> Source:
@@ -155,18 +174,28 @@ def open_source(text: str | None) -> Source:
     if re.fullmatch(r"/dev/video\d+", text):
         return CameraSource(text)
     path = Path(text)
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise SourceError(f"{text} cannot be read: {error.strerror}") from error
     if path.is_dir():
         return _folder(path)
     if not path.exists() and glob.has_magic(text):
-        images = [p for p in map(Path, sorted(glob.glob(text))) if p.suffix.lower() in IMAGE_SUFFIXES]
+        images = in_order(p for p in map(Path, glob.glob(text)) if p.suffix.lower() in IMAGE_SUFFIXES)
         if not images:
             raise SourceError(f"no image matches {text}: quote the pattern, and give one of {_suffixes()}")
-        return ImageSource(text, tuple(images), _truth_beside(images[0].parent))
+        return _images(text, images)
     if not path.exists():
         raise SourceError(f"{text} does not exist: give a video file, a folder or glob of images, or /dev/videoN")
     if path.suffix.lower() in IMAGE_SUFFIXES:
-        return ImageSource(path.name, (path,), _truth_beside(path.parent))
+        return _images(path.name, [path])
     return VideoSource.open(path)
+
+
+def _sane_rate(rate: float) -> float:
+    return float(rate) if np.isfinite(rate) and 0 < rate <= 1000 else IMAGE_FRAMES_PER_S
 
 
 def _folder(folder: Path) -> ImageSource:
@@ -176,14 +205,17 @@ def _folder(folder: Path) -> ImageSource:
     if not images:
         raise SourceError(f"{folder} holds no images: give a folder with {_suffixes()} files")
     name = folder.parent.name if folder.name == "img" else folder.name
-    return ImageSource(name or str(folder), tuple(images), _truth_beside(folder))
+    return _images(name or str(folder), images)
 
 
-def _truth_beside(folder: Path) -> tuple[Box | None, ...]:
+def _images(name: str, images: list[Path]) -> ImageSource:
+    """Source of images that are all or some of a folder's, each with its own line of the truth beside them."""
+    folder = images[0].parent
     for path in (folder / "groundtruth.txt", folder.parent / "groundtruth.txt"):
         if path.is_file():
-            return read_truth(path)
-    return ()
+            truth = dict(zip(image_files(folder), read_truth(path), strict=False))
+            return ImageSource(name, tuple(images), tuple(truth.get(image) for image in images), path)
+    return ImageSource(name, tuple(images))
 
 
 def _suffixes() -> str:

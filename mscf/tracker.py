@@ -21,6 +21,7 @@ from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
 from mscf.spectrum import dft, inverse_dft, locate_peak, shifted
 
 MIN_BOX_PX = 4.0
+MAX_BOX_SHARE = 4.0  # of the frame's sides; what is larger is a mistake, and would cost seconds an update
 PEAK_MEAN_RATE = 0.1  # of the running mean of peaks, per frame that shows the target
 
 
@@ -30,7 +31,7 @@ class TrackResult:
 
     box: Box  # the target, 0-based px; may reach outside the frame
     peak: float  # maximum of the response map
-    threat: float  # mutation threat factor, 0 where there is no sub-peak
+    threat: float  # mutation threat factor: 0 where there is no sub-peak, 1 where there is no positive peak
     scale: float  # size of the target over its size in the first frame
     confidence: float  # 0..1: how likely the box holds the target; see mscf.confidence for what that is worth
 
@@ -149,8 +150,8 @@ class Tracker:
         peak = float(response.max())
         # SELECTION (paper Eq. 1, 2)
         threat = measure_threat(response, self._config, probe)
+        probe("threat", np.array(threat))
 
-        state = remember_first_peaks(state, peak)
         if is_hidden(peak, state, self._config):
             after = replace(state, frame_index=state.frame_index + 1, held=state.held + 1)
         else:
@@ -174,7 +175,7 @@ class Tracker:
 
         self._started = plan, after
         box = plan.box_at(after.pos_rc, after.scale)
-        sure = confidence(response, state.first_peak)
+        sure = confidence(response, after.first_peak)
         return TrackResult(box, peak, threat, after.scale / plan.first_scale, sure)
 
 
@@ -204,14 +205,6 @@ def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, floa
     return row + offset_rc[0] * cell_px, col + offset_rc[1] * cell_px
 
 
-def remember_first_peaks(state: State, peak: float) -> State:
-    """State with the mean of the first few peaks, this one included."""
-    count = state.frame_index + 1
-    if count > FIRST_PEAKS:
-        return state
-    return replace(state, first_peak=state.first_peak + (peak - state.first_peak) / count)
-
-
 def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:
     """Whether the response is so weak that the target must be behind something.
 
@@ -225,7 +218,17 @@ def seen(state: State, peak: float, pos_rc: tuple[float, float], scale: float, c
     """State after a frame that shows the target, or in which waiting for it was given up."""
     starts_anew = math.isnan(state.peak_mean) or state.held >= cfg.hold_frames
     mean = peak if starts_anew else state.peak_mean + PEAK_MEAN_RATE * (peak - state.peak_mean)
-    return replace(state, frame_index=state.frame_index + 1, pos_rc=pos_rc, scale=scale, peak_mean=mean, held=0)
+    count = state.frame_index + 1
+    first_peak = state.first_peak + (peak - state.first_peak) / count if count <= FIRST_PEAKS else state.first_peak
+    return replace(
+        state,
+        frame_index=state.frame_index + 1,
+        pos_rc=pos_rc,
+        scale=scale,
+        peak_mean=mean,
+        first_peak=first_peak,
+        held=0,
+    )
 
 
 def measure_threat(response: Real, cfg: TrackerConfig, probe: Probe) -> float:
@@ -288,10 +291,15 @@ def _check_same_shape(frame: Image, plan: Plan) -> None:
 
 def _check_box(box: Box, frame: Image) -> None:
     rows, cols = frame.shape[:2]
+    if not isinstance(box, Box):
+        raise BoxError(f"a box must be a mscf.Box, got {type(box).__name__}: make one with Box(x, y, w, h)")
     if not box.is_finite:
         raise BoxError(f"{box} is not finite: x, y, w and h must be numbers")
     if box.w < MIN_BOX_PX or box.h < MIN_BOX_PX:
         raise BoxError(f"{box} is too small: w and h must be at least {MIN_BOX_PX:g} px")
+    if max(box.w / cols, box.h / rows) > MAX_BOX_SHARE:
+        text = f"{box} is too large: w and h must be at most {MAX_BOX_SHARE:g} times the frame's {cols} x {rows}"
+        raise BoxError(text)
     if box.overlap_px2(Box(0, 0, cols, rows)) <= 0:
         raise BoxError(f"{box} is outside the frame: it must overlap x 0..{cols}, y 0..{rows}")
 

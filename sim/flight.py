@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -47,6 +48,7 @@ class SyntheticFlight:
     """
 
     name = "synthetic flight"
+    files: tuple[Path, ...] = ()  # nothing is read
 
     def __init__(
         self,

@@ -10,6 +10,7 @@ import cv2
 from mscf.arrays import Image
 from mscf.config import PRESETS, TrackerConfig
 from mscf.errors import ConfigError
+from mscf.features.color_names import load_table
 from mscf.geometry import Box
 from mscf.tracker import Tracker
 
@@ -91,4 +92,5 @@ def tracker_factory(name: str, color_table: Path | None = None) -> Callable[[], 
     if name not in PRESETS:
         raise ConfigError(f"unknown tracker {name!r}: choose from {', '.join((*PRESETS, CSRT))}")
     config = TrackerConfig.preset(name, color_table=color_table)
+    load_table(color_table)  # says now what is wrong with it
     return lambda: Tracker(config)

@@ -1,5 +1,6 @@
 """How a tracker is run over a sequence: from where, and how often."""
 
+import signal
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -8,11 +9,13 @@ from pathlib import Path
 from typing import TextIO
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 from mscf.evaluation.datasets import Sequence
 from mscf.evaluation.metrics import Score, score
 from mscf.evaluation.peers import tracker_factory
 from mscf.geometry import Box
+from mscf.tracker import MIN_BOX_PX
 
 PROTOCOLS: tuple[str, ...] = ("ope", "jitter", "tre")
 TRE_STARTS = 5
@@ -42,7 +45,8 @@ def starts(sequence: Sequence, protocol: str) -> tuple[Start, ...]:
 
     ope : one, from the first frame's true box.
     jitter : nine, from the true box and its eight shifts by 1 px: single runs are bistable on some sequences.
-    tre : five, from the true boxes of frames spread evenly over the sequence, each to its end (OTB's TRE).
+    tre : five, from the true boxes of frames spread evenly over the sequence, each to its end (OTB's TRE); from
+        the next frame where one has no box of at least 4 px.
     """
     first = sequence.truth[0]
     assert first is not None  # read_sequence refuses such a sequence
@@ -51,18 +55,21 @@ def starts(sequence: Sequence, protocol: str) -> tuple[Start, ...]:
     if protocol == "jitter":
         shifts = [(0, 0)] + [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (dx, dy) != (0, 0)]
         return tuple(Start(0, Box(first.x + dx, first.y + dy, first.w, first.h)) for dx, dy in shifts)
-    found = []
+    count = len(sequence.truth)
+    found: dict[int, Box] = {}  # a gap in the truth may send two segments to one frame
     for segment in range(TRE_STARTS):
-        index = segment * len(sequence.truth) // TRE_STARTS
-        box = next(((i, b) for i, b in enumerate(sequence.truth[index:], start=index) if b is not None), None)
-        if box is not None:
-            found.append(Start(*box))
-    return tuple(found)
+        for index in range(segment * count // TRE_STARTS, count - 1):
+            box = sequence.truth[index]
+            if box is not None and min(box.w, box.h) >= MIN_BOX_PX:
+                found[index] = box
+                break
+    return tuple(Start(index, box) for index, box in found.items())
 
 
 def run_sequence(sequence: Sequence, name: str, protocol: str, color_table: Path | None = None) -> list[Run]:
     """Run a tracker from each start of a protocol; one thread, image decoding not timed."""
     cv2.setNumThreads(1)
+    threadpool_limits(1, "blas")
     make = tracker_factory(name, color_table)
     frames = [sequence.read(index) for index in range(len(sequence.images))]
     runs = []
@@ -97,7 +104,8 @@ def run_dataset(
     for name in names:
         tracker_factory(name, color_table)  # fails now rather than after an hour
     runs: list[Run] = []
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_ctrl_c)
+    try:
         waiting = {
             pool.submit(run_sequence, sequence, name, protocol, color_table): (sequence.name, name)
             for sequence in sequences
@@ -106,4 +114,16 @@ def run_dataset(
         for done, future in enumerate(as_completed(waiting), start=1):
             runs += future.result()
             print(f"{done} of {len(waiting)}: {' '.join(waiting[future])}", file=log, flush=True)
+    except BaseException:
+        # neither Ctrl-C nor the first error waits for what is still in the queue
+        for process in list(pool._processes.values()):  # noqa: SLF001 - terminate_workers comes with Python 3.14
+            process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise
+    pool.shutdown()
     return runs
+
+
+def _ignore_ctrl_c() -> None:
+    """Leave it to the parent, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

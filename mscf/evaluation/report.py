@@ -28,5 +28,5 @@ def print_table(runs: Sequence[Run], names: Sequence[str], protocol: str, out: T
         print(f"| {sequence} | " + " | ".join(cells) + " |", file=out)
     cells = [f"**{fmean(p for p, _ in means[name]):.3f} / {fmean(a for _, a in means[name]):.3f}**" for name in names]
     print("| mean | " + " | ".join(cells) + " |", file=out)
-    rates = [1e3 / fmean(ms for run in runs if run.tracker == name for ms in run.update_ms) for name in names]
-    print("| updates/s | " + " | ".join(f"{rate:.0f}" for rate in rates) + " |", file=out)
+    by_name = [[ms for run in runs if run.tracker == name for ms in run.update_ms] for name in names]
+    print("| updates/s | " + " | ".join(f"{1e3 / fmean(ms):.0f}" if ms else "-" for ms in by_name) + " |", file=out)

@@ -1,6 +1,7 @@
 """Colour names: mean of a colour's name coordinates over a cell (spec B3, D)."""
 
 import zipfile
+import zlib
 from functools import lru_cache
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def load_table(path: Path | None) -> Real:
     try:
         with np.load(source) as archive:
             table = np.ascontiguousarray(archive["table"], dtype=np.float32)
-    except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         text = f"color_table {source} cannot be read ({error}): give an .npz with an array 'table' of {TABLE_SHAPE}"
         raise ConfigError(text) from error
     if table.shape != TABLE_SHAPE or not np.isfinite(table).all():

@@ -112,6 +112,8 @@ def test_ctrl_c_leaves_playable_files_and_status_130(
         (["demo", "{sequence}", "--save", "a.gif"], "a.gif is not named .mp4"),
         (["demo", "{sequence}", "--plot", "no/such/a.png"], "no/such/a.png cannot be written"),
         (["demo", "{sequence}", "--boxes", "no/such/a.txt"], "no/such/a.txt cannot be written"),
+        (["demo", "{sequence}", "--plot", "a.xyz"], "a.xyz cannot be plotted to"),
+        (["demo", "{sequence}", "--box", "0,0,9999,9999"], "too large"),
         (["demo", "{sequence}", "--max-frames", "0"], "give a whole number from 1"),
         (["demo", "{sequence}", "--preset", "best"], "invalid choice: 'best'"),
         (["eval", "no/such/folder"], "no/such/folder is not a folder"),
@@ -131,7 +133,27 @@ def test_bad_input_is_one_line_and_status_2(
     assert status == 2
     assert text in said
     assert "Traceback" not in said
-    assert said.splitlines()[-1].startswith("mscf")
+    assert len(said.splitlines()) == 1
+    assert said.startswith("mscf")
+
+
+@pytest.mark.parametrize("option", ["--boxes", "--plot"])
+def test_what_is_read_is_never_written(sequence_dir: Path, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = sequence_dir / "groundtruth.txt"
+    before = truth.read_text()
+    assert cli.main(["demo", str(sequence_dir), option, str(truth)]) == 2
+    assert "is read by this run" in capsys.readouterr().err
+    assert truth.read_text() == before
+
+
+def test_two_outputs_need_two_places(sequence_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["demo", str(sequence_dir), "--boxes", "a.png", "--plot", "a.png"]) == 2
+    assert "a.png is given for two outputs" in capsys.readouterr().err
+
+
+def test_max_frames_does_not_read_the_next_frame(sequence_dir: Path) -> None:
+    (sequence_dir / "img" / "000005.png").write_bytes(b"broken")
+    assert cli.main(["demo", str(sequence_dir), "--max-frames", "4"]) == 0
 
 
 def test_a_bad_output_stops_before_the_first_frame(sequence_dir: Path, tmp_path: Path) -> None:

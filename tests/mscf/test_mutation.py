@@ -55,7 +55,10 @@ def test_the_published_window_is_blind_beyond() -> None:
 def test_the_window_stays_inside_the_map(shift: tuple[int, int], rng: np.random.Generator) -> None:
     response = np.roll(planted((0, 0), (3, 0), 0.5), shift, axis=(0, 1))
     response += rng.uniform(0, 1e-4, response.shape).astype(np.float32)
-    assert 0 <= threat_in_window(response, nu=1.0, delta=0.01) <= 1
+    windows = []
+    threat = threat_in_window(response, nu=1.0, delta=0.01, probe=lambda _, array: windows.append(array))
+    assert windows[0].shape == windows[1].shape == (13, 13)
+    assert 0 < threat < 1
 
 
 @pytest.mark.parametrize("rule", [threat_in_window, threat_of_peaks])

@@ -78,3 +78,33 @@ def test_each_box_is_on_disk_at_once(tmp_path: Path) -> None:
         assert path.read_text() == "1.00,1.00,10.00,20.00\n"
         file.write(Box(4.125, 5.5, 10, 20))
     assert path.read_text().splitlines()[1] == "5.12,6.50,10.00,20.00"
+
+
+def test_a_box_file_leaves_what_was_there_until_the_first_box(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text("kept\n")
+    with BoxFile(path):
+        pass
+    assert path.read_text() == "kept\n"
+    with BoxFile(path) as file:
+        file.write(Box(0, 0, 4, 4))
+    assert path.read_text() == "1.00,1.00,4.00,4.00\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system to write to")
+def test_a_full_disk_is_one_error_that_names_the_file(tmp_path: Path) -> None:
+    (tmp_path / "full.mp4").symlink_to("/dev/full")
+    (tmp_path / "full.txt").symlink_to("/dev/full")
+
+    def film() -> None:
+        with VideoFile(tmp_path / "full.mp4", 30) as file:
+            for frame in moving_target() * 20:
+                file.write(frame)
+
+    def list_boxes() -> None:
+        with BoxFile(tmp_path / "full.txt") as file:
+            file.write(Box(0, 0, 4, 4))
+
+    for run in (film, list_boxes):
+        with pytest.raises(OutputError, match=r"full\.(mp4|txt) cannot be written: .*No space left"):
+            run()

@@ -1,13 +1,15 @@
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 from mover import FIRST, FRAMES, moving_target
 
 from mscf.errors import SourceError
+from mscf.geometry import Box
 from mscf.recording import VideoFile
-from mscf.source import CameraSource, ImageSource, VideoSource, open_source
+from mscf.source import ImageSource, VideoSource, open_source
 
 
 @pytest.fixture
@@ -35,6 +37,37 @@ def test_a_glob_takes_the_images_it_matches(sequence_dir: Path) -> None:
     assert source.truth[0] == FIRST
 
 
+def test_each_image_of_a_glob_has_its_own_line_of_the_truth(sequence_dir: Path) -> None:
+    source = open_source(str(sequence_dir / "img" / "00000[5-9].png"))
+    assert source.truth[0] == Box(FIRST.x + 12, FIRST.y + 8, FIRST.w, FIRST.h)
+    assert len(source.truth) == 5
+    assert open_source(str(sequence_dir / "img" / "000005.png")).truth == source.truth[:1]
+
+
+def test_images_are_taken_by_number(tmp_path: Path) -> None:
+    for number in (1, 2, 10, 9):
+        cv2.imwrite(str(tmp_path / f"frame{number}.png"), np.full((9, 9, 3), number, np.uint8))
+    assert [int(frame[0, 0, 0]) for frame in open_source(str(tmp_path))] == [1, 2, 9, 10]
+    assert [int(frame[0, 0, 0]) for frame in open_source(str(tmp_path / "*.png"))] == [1, 2, 9, 10]
+
+
+def test_a_name_that_is_too_long_is_refused() -> None:
+    with pytest.raises(SourceError, match="cannot be read: File name too long"):
+        open_source("x" * 300)
+
+
+def test_the_length_of_a_matroska_file_is_not_believed(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height = 128, 96
+        for frame in moving_target():
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="bgr24")))
+        container.mux(stream.encode(None))
+    source = open_source(str(tmp_path / "a.mkv"))
+    assert source.frame_count is None
+    assert len(list(source)) == FRAMES
+
+
 def test_one_image_is_a_source_of_one_frame(sequence_dir: Path) -> None:
     assert len(list(open_source(str(sequence_dir / "img" / "000003.png")))) == 1
 
@@ -58,19 +91,10 @@ def test_a_video_that_was_cut_short_says_where(video: Path) -> None:
         next(frames)
 
 
-@pytest.mark.parametrize(
-    ("text", "device"), [("0", "/dev/video0"), ("12", "/dev/video12"), ("/dev/video3", "/dev/video3")]
-)
-def test_a_number_or_device_is_a_camera(text: str, device: str) -> None:
-    source = open_source(text)
-    assert isinstance(source, CameraSource)
-    assert source.name == device
-    assert source.frame_count is None
-
-
-def test_a_camera_that_is_not_there_is_named() -> None:
-    with pytest.raises(SourceError, match="camera /dev/video987 cannot be opened"):
-        next(iter(open_source("/dev/video987")))
+@pytest.mark.parametrize(("text", "device"), [("987", "/dev/video987"), ("/dev/video988", "/dev/video988")])
+def test_a_number_or_device_is_a_camera_and_named_where_it_is_not_there(text: str, device: str) -> None:
+    with pytest.raises(SourceError, match=f"camera {device} cannot be opened"):
+        open_source(text)
 
 
 def test_without_a_source_the_built_in_flight_is_shown() -> None:

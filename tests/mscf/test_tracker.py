@@ -247,7 +247,7 @@ def test_any_box_that_is_accepted_is_tracked_with_finite_numbers(frame: Image, p
     "make", [lambda s: np.full(s, 128, np.uint8), lambda s: np.zeros(s, np.uint8), lambda s: np.full(s, 255, np.uint8)]
 )
 @pytest.mark.parametrize("shape", [(240, 320, 3), (240, 320)])
-def test_constant_frames_leave_the_target_where_it_is(
+def test_constant_frames_leave_the_target_nearby(
     preset: str, make: Callable[[tuple[int, ...]], Image], shape: tuple[int, ...]
 ) -> None:
     tracker = Tracker(TrackerConfig.preset(preset))
@@ -256,7 +256,7 @@ def test_constant_frames_leave_the_target_where_it_is(
         result = tracker.update(make(shape))
         assert result.box.is_finite
         assert np.isfinite([result.peak, result.threat, result.scale]).all()
-        assert abs(result.box.center_xy[0] - BOX.center_xy[0]) < 20
+        assert np.hypot(*np.subtract(result.box.center_xy, BOX.center_xy)) < 25  # nothing says where, nothing runs away
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -267,6 +267,14 @@ def test_a_target_that_goes_black_and_comes_back_keeps_the_numbers_finite(frame:
         result = tracker.update(picture)
         assert result.box.is_finite
         assert np.isfinite([result.peak, result.threat, result.scale, result.confidence]).all()
+
+
+@pytest.mark.parametrize("box", [Box(-150, -100, 700, 500), Box(-10, -10, 340, 260), Box(150, 110, 4, 4)])
+def test_a_target_beyond_the_limits_of_scale_keeps_its_size_while_nothing_changes(frame: Image, box: Box) -> None:
+    tracker = Tracker()
+    tracker.init(frame, box)
+    for _ in range(4):
+        assert tracker.update(frame).box.iou(box) > 0.6
 
 
 def test_saturated_noise_keeps_the_numbers_finite(rng: np.random.Generator) -> None:
@@ -326,6 +334,9 @@ BAD_BOXES = [
     (Box(10, 10, 3.9, 20), "at least 4 px"),
     (Box(float("nan"), 10, 20, 20), "not finite"),
     (Box(10, float("inf"), 20, 20), "not finite"),
+    (Box(0, 0, 1e300, 20), "too large: .* at most 4 times"),
+    (Box("1", 10, 20, 20), "not finite"),  # type: ignore[arg-type]
+    ((10, 10, 20, 20), r"got tuple: make one with Box\(x, y, w, h\)"),
     (Box(320, 10, 20, 20), "outside the frame"),
     (Box(-20, 10, 20, 20), "outside the frame"),
     (Box(10, 240, 20, 20), r"must overlap x 0\.\.320, y 0\.\.240"),
@@ -381,12 +392,8 @@ def test_a_probe_that_raises_leaves_the_tracker_as_it_was(frame: Image) -> None:
             raise RuntimeError("late in the update")
 
     moved = np.roll(frame, 6, axis=1)
-    for _ in range(2):  # whether or not this update trains
-        try:
-            tracker.update(moved, probe=explode)
-        except RuntimeError:
-            break
-        untouched.update(moved)
+    with pytest.raises(RuntimeError):
+        tracker.update(moved, probe=explode)
     assert tracker.update(moved) == untouched.update(moved)
 
 
