@@ -28,6 +28,7 @@ from mscf.tracker import Tracker
 STAGE_ENDS = {
     "patch_detect": "sample (detection)",
     "features_detect": "features (detection)",
+    "sample_f": "DFT and response",
     "response": "DFT and response",
     "threat_window": "threat",
     "threat_maxima": "threat",
@@ -43,8 +44,10 @@ STAGE_ENDS = {
     "label_f": "ADMM",
     "filter_f": "ADMM",
     "scale_features_train": "scale samples (training)",
+    "scale_numerator_f": "scale training",
+    "scale_denominator": "scale training",
 }
-LAST_STAGE = "scale training, confidence"
+LAST_STAGE = "confidence"
 FLATNESS_UPDATES = 40
 FLATNESS_CASES = (("720p, 40 px", 720, 1280, 40), ("4K, 40 px", 2160, 3840, 40), ("720p, 400 px", 720, 1280, 400))
 

@@ -77,7 +77,7 @@ class TrackerConfig:
     pedestal_min_cells: float = 5.0  # the pedestal's least side
     pedestal_centred: bool = False  # symmetric about the centre; the published code's is a cell or two off
     pedestal_at_start: bool = False  # also in the first frame
-    label_rule: LabelRule = "split"  # fixed: Omega itself; joint: paper Eq. 13; split: spec B10
+    label_rule: LabelRule = "split"  # fixed: Omega itself; joint: paper Eq. 12; split: spec B10
 
     # mutation threat factor (paper Eq. 1, 2; spec B7)
     threat_rule: ThreatRule = "window"  # window: spec B7; peaks: as the paper states it

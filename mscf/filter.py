@@ -1,4 +1,4 @@
-"""Training: the correlation filter and its label by ADMM (paper Eq. 4-15, spec A3 and B10).
+"""Training: the correlation filter and its label by ADMM (paper Eq. 4-13, spec A3 and B10).
 
 The filter's augmented Lagrangian is solved in its scaled form, with u = l / mu for the multiplier l. Writing
 w = h - u, the Sherman-Morrison solution of the g sub-problem is w plus a rank-one correction,
@@ -6,7 +6,7 @@ w = h - u, the Sherman-Morrison solution of the g sub-problem is w plus a rank-o
     g = w + m a,   a = (q - m^H w) / (S_xx + T mu),   so that g + u = h + m a.
 
 Only a, one number per DFT bin, and h are carried from step to step: m^H w follows from m^H h, and w itself is
-formed once, for the last g. It is the paper's Eq. 9-12 and 14 rearranged (derivation in docs/equations.md).
+formed once, for the last g. It is the paper's Eq. 8-11 and 13 rearranged (derivation in docs/equations.md).
 Shapes: C channels, M x N cells, T = M N, N' = N//2 + 1 bins of the half spectrum, m x n filter support.
 """
 
@@ -80,7 +80,7 @@ def correlate(a_f: Spectrum, b_f: Spectrum) -> Spectrum:
 
 
 def solve_g(state: FilterState, model: Model, label_f: Spectrum, cells: int) -> tuple[Spectrum, Spectrum]:
-    """Sub-problem g for a given label, per DFT bin (paper Eq. 8-12).
+    """Sub-problem g for a given label, per DFT bin (paper Eq. 8-11).
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def filter_of(state: FilterState, a_f: Spectrum, model: Model) -> Spectrum:
 def restrict(
     state: FilterState, a_f: Spectrum, model: Model, support: SupportTransform, cfg: TrackerConfig
 ) -> FilterState:
-    """Sub-problem h, in space and cropped to the support, multiplier and penalty (paper Eq. 7, 14, 15).
+    """Sub-problem h, in space and cropped to the support, multiplier and penalty (paper Eq. 7, 13).
 
     h = T mu / (T mu + lambda1) crop(IDFT(g + u)), and g + u = h' + m a with h' already on the support.
     """
@@ -165,7 +165,7 @@ def label_split_step(
 def closed_form_label(
     response_f: Spectrum, ideal_f: Spectrum, previous_f: Spectrum, *, threat: float, cfg: TrackerConfig
 ) -> Spectrum:
-    """The paper's label: weighted mean of response, ideal label and previous label (paper Eq. 13).
+    """The paper's label: weighted mean of response, ideal label and previous label (paper Eq. 12).
 
     Parameters
     ----------

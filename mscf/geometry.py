@@ -69,3 +69,8 @@ class Box:
 def round_half_away(value: float) -> int:
     """Nearest integer, halves away from zero (Python's `round` goes to even, MATLAB's does not)."""
     return math.floor(abs(value) + 0.5) * (1 if value >= 0 else -1)
+
+
+def nearest_pixel(pos_rc: tuple[float, float]) -> tuple[int, int]:
+    """Pixel a patch is cut around (spec B2; half a pixel goes up, as 1-based coordinates are positive)."""
+    return math.floor(pos_rc[0] + 0.5), math.floor(pos_rc[1] + 0.5)

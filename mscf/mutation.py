@@ -1,17 +1,21 @@
 """Mutation threat factor: how dangerous the highest sub-peak of a response map is (paper Eq. 1 and 2)."""
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from mscf.arrays import Probe, Real, no_probe
-
-ThreatRule = Callable[..., float]
+from mscf.config import TrackerConfig
 
 WINDOW_RADIUS_CELLS = 6
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
+
+
+def measure_threat(response: Real, cfg: TrackerConfig, *, probe: Probe = no_probe) -> float:
+    """Mutation threat factor of a response map (M, N) by the configured rule."""
+    rule = threat_in_window if cfg.threat_rule == "window" else threat_of_peaks
+    return rule(response, nu=cfg.threat_nu, delta=cfg.threat_delta, probe=probe)
 
 
 def distance_weight(distance_cells: Real, *, nu: float, delta: float) -> Real:

@@ -5,23 +5,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mscf.arrays import Image, Probe, Real, Spectrum, no_probe
+from mscf.arrays import Image, Probe, Spectrum, no_probe
 from mscf.confidence import FIRST_PEAKS, confidence
 from mscf.config import TrackerConfig
-from mscf.errors import BoxError, FrameError, TrackerNotInitialisedError
+from mscf.errors import TrackerNotInitialisedError
 from mscf.features.fhog import CELL_PX
 from mscf.features.stack import feature_stack
 from mscf.filter import correlate, learn
-from mscf.geometry import Box
+from mscf.frame import check_box, check_frame, check_same_shape, is_gray, single_channel
+from mscf.geometry import Box, nearest_pixel
 from mscf.labels import ideal_label
-from mscf.mutation import threat_in_window, threat_of_peaks
+from mscf.mutation import measure_threat
 from mscf.plan import Plan
 from mscf.sampling import sample
 from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
 from mscf.spectrum import dft, inverse_dft, locate_peak, shifted
 
-MIN_BOX_PX = 4.0
-MAX_BOX_SHARE = 4.0  # of the frame's sides; what is larger is a mistake, and would cost seconds an update
 PEAK_MEAN_RATE = 0.1  # of the running mean of peaks, per frame that shows the target
 
 
@@ -95,14 +94,14 @@ class Tracker:
 
         After an exception the tracker is as it was before.
         """
-        _check_frame(frame)
-        _check_box(box, frame)
-        is_gray = _is_gray(frame)
-        plan = Plan.make(self._config, frame.shape, box, is_gray=is_gray)
-        frame = _single_channel(frame) if is_gray else frame
+        check_frame(frame)
+        check_box(box, frame)
+        plan = Plan.make(self._config, frame.shape, box, is_gray=is_gray(frame))
+        frame = single_channel(frame) if plan.is_gray else frame
         pos_rc, scale = box.to_pos_size()[0], plan.first_scale
 
         model_f = sample_features(frame, pos_rc, scale, plan, probe=probe, stage="train")
+        probe("model_f", model_f)
         height = self._config.pedestal_height if self._config.pedestal_at_start else 0.0
         ideal_f = dft(ideal_label(plan.gaussian, plan.pedestal, height=height, threat=0.0))
         probe("ideal_label_f", ideal_f)
@@ -113,11 +112,19 @@ class Tracker:
         probe("filter_f", learned.g_f)
         features = scale_features(frame, pos_rc, scale, plan.scale)
         probe("scale_features_train", features)
-        scale_filter = train_scale(features, None, plan.scale)
-        self._started = (
-            plan,
-            State(0, pos_rc, scale, model_f, learned.g_f, learned.label_f, scale_filter, math.nan, 0.0, 0),
+        state = State(
+            frame_index=0,
+            pos_rc=pos_rc,
+            scale=scale,
+            model_f=model_f,
+            filter_f=learned.g_f,
+            label_f=learned.label_f,
+            scale_filter=train_scale(features, None, plan.scale),
+            peak_mean=math.nan,
+            first_peak=0.0,
+            held=0,
         )
+        self._started = plan, state
 
     def update(self, frame: Image, *, probe: Probe = no_probe) -> TrackResult:
         """Locate the target in `frame`, then learn from it.
@@ -139,17 +146,18 @@ class Tracker:
         if self._started is None:
             raise TrackerNotInitialisedError("update was called before init: call init(frame, box) first")
         plan, state = self._started
-        _check_frame(frame)
-        _check_same_shape(frame, plan)
-        frame = _single_channel(frame) if plan.is_gray else frame
+        check_frame(frame)
+        check_same_shape(frame, plan.frame_shape)
+        frame = single_channel(frame) if plan.is_gray else frame
 
-        # LOCALISATION (paper Eq. 16)
+        # LOCALISATION (paper Eq. 14)
         sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="detect")
+        probe("sample_f", sample_f)
         response = inverse_dft(correlate(state.filter_f, sample_f), plan.grid_mn)  # (M, N)
         probe("response", response)
         peak = float(response.max())
         # SELECTION (paper Eq. 1, 2)
-        threat = measure_threat(response, self._config, probe)
+        threat = measure_threat(response, self._config, probe=probe)
         probe("threat", np.array(threat))
 
         if is_hidden(peak, state, self._config):
@@ -162,7 +170,7 @@ class Tracker:
             scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale)
             probe("scale_features_detect", scale_sample)
             scale = estimate_scale(scale_sample, state.scale, state.scale_filter, plan.scale, probe)
-            # TRAINING (paper Eq. 3-15)
+            # TRAINING (paper Eq. 3-13)
             after = seen(state, peak, pos_rc, scale, self._config)
             if after.frame_index % self._config.train_interval == 0:
                 train_f = training_sample(frame, sample_f, offset_rc, state, after, plan, probe)
@@ -172,6 +180,8 @@ class Tracker:
                     scale_sample = scale_features(frame, pos_rc, scale, plan.scale)
                 probe("scale_features_train", scale_sample)
                 after = replace(after, scale_filter=train_scale(scale_sample, state.scale_filter, plan.scale))
+                probe("scale_numerator_f", after.scale_filter.num_f)
+                probe("scale_denominator", after.scale_filter.den)
 
         self._started = plan, after
         box = plan.box_at(after.pos_rc, after.scale)
@@ -191,11 +201,6 @@ def sample_features(
     features = feature_stack(patch, CELL_PX, plan.color_table)  # (C, M, N)
     probe(f"features_{stage}", features)
     return dft(features * plan.window)
-
-
-def nearest_pixel(pos_rc: tuple[float, float]) -> tuple[int, int]:
-    """Pixel a patch is cut around (spec B2; half a pixel goes up, as 1-based coordinates are positive)."""
-    return math.floor(pos_rc[0] + 0.5), math.floor(pos_rc[1] + 0.5)
 
 
 def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, float]:
@@ -229,12 +234,6 @@ def seen(state: State, peak: float, pos_rc: tuple[float, float], scale: float, c
         first_peak=first_peak,
         held=0,
     )
-
-
-def measure_threat(response: Real, cfg: TrackerConfig, probe: Probe) -> float:
-    """Mutation threat factor of a response map by the configured rule."""
-    rule = threat_in_window if cfg.threat_rule == "window" else threat_of_peaks
-    return rule(response, nu=cfg.threat_nu, delta=cfg.threat_delta, probe=probe)
 
 
 def training_sample(
@@ -272,47 +271,3 @@ def train(state: State, sample_f: Spectrum, threat: float, plan: Plan, probe: Pr
     probe("label_f", learned.label_f)
     probe("filter_f", learned.g_f)
     return replace(state, model_f=model_f, filter_f=learned.g_f, label_f=learned.label_f)
-
-
-def _check_frame(frame: Image) -> None:
-    if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8:
-        got = frame.dtype if isinstance(frame, np.ndarray) else type(frame).__name__
-        raise FrameError(f"a frame must be an array of uint8, got {got}: convert with .astype(numpy.uint8)")
-    is_color = frame.ndim == 3 and frame.shape[2] == 3
-    if not (is_color or frame.ndim == 2) or 0 in frame.shape:
-        raise FrameError(f"a frame must have the shape (H, W, 3), BGR, or (H, W), gray, got {frame.shape}")
-
-
-def _check_same_shape(frame: Image, plan: Plan) -> None:
-    if frame.shape != plan.frame_shape:
-        text = f"the frame has the shape {frame.shape}, the one given to init had {plan.frame_shape}"
-        raise FrameError(f"{text}: resize it, or call init again")
-
-
-def _check_box(box: Box, frame: Image) -> None:
-    rows, cols = frame.shape[:2]
-    if not isinstance(box, Box):
-        raise BoxError(f"a box must be a mscf.Box, got {type(box).__name__}: make one with Box(x, y, w, h)")
-    if not box.is_finite:
-        raise BoxError(f"{box} is not finite: x, y, w and h must be numbers")
-    if box.w < MIN_BOX_PX or box.h < MIN_BOX_PX:
-        raise BoxError(f"{box} is too small: w and h must be at least {MIN_BOX_PX:g} px")
-    if max(box.w / cols, box.h / rows) > MAX_BOX_SHARE:
-        text = f"{box} is too large: w and h must be at most {MAX_BOX_SHARE:g} times the frame's {cols} x {rows}"
-        raise BoxError(text)
-    if box.overlap_px2(Box(0, 0, cols, rows)) <= 0:
-        raise BoxError(f"{box} is outside the frame: it must overlap x 0..{cols}, y 0..{rows}")
-
-
-def _is_gray(frame: Image) -> bool:
-    """Whether one channel says all.
-
-    Deviation: the published code compares R and G only, which a blue object on black would fool.
-    """
-    if frame.ndim == 2:
-        return True
-    return bool((frame[..., 0] == frame[..., 1]).all() and (frame[..., 1] == frame[..., 2]).all())
-
-
-def _single_channel(frame: Image) -> Image:
-    return frame if frame.ndim == 2 else frame[..., 0]

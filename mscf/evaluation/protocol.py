@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 from mscf.evaluation.datasets import Sequence
 from mscf.evaluation.metrics import Score, score
 from mscf.evaluation.peers import tracker_factory
+from mscf.frame import MIN_BOX_PX
 from mscf.geometry import Box
-from mscf.tracker import MIN_BOX_PX
 
 PROTOCOLS: tuple[str, ...] = ("ope", "jitter", "tre")
 TRE_STARTS = 5

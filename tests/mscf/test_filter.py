@@ -134,7 +134,7 @@ def test_the_multiplier_grows_by_the_gap_between_g_and_h(
     a_f, _ = solve_g(state, model, label_f, CELLS)
     after = restrict(state, a_f, model, support, TrackerConfig())
     gap_f = filter_of(state, a_f, model) - after.h_f
-    expected = state.mu * multiplier(state, model) + state.mu * gap_f  # paper Eq. 14
+    expected = state.mu * multiplier(state, model) + state.mu * gap_f  # paper Eq. 13
     found = after.mu * multiplier(after, model)
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
 
@@ -168,7 +168,7 @@ def test_r_minimises_its_sub_problem(rng: np.random.Generator, label_f: Spectrum
     fit_f, previous_f = (dft(rng.standard_normal(SIZE, dtype=np.float32)) for _ in range(2))
     r_f = closed_form_label(fit_f, label_f, previous_f, threat=threat, cfg=cfg)
 
-    def objective(r: Any) -> float:  # paper Eq. 13
+    def objective(r: Any) -> float:  # paper Eq. 12
         return float(
             0.5 * np.sum(np.abs(r - fit_f) ** 2)
             + 0.5 * (1 + threat**2) * cfg.ideal_weight * np.sum(np.abs(label_f - r) ** 2)
