@@ -170,7 +170,7 @@ class TrackerConfig:
         for key in overrides:
             if key not in known:
                 raise ConfigError(f"unknown field {key!r} of TrackerConfig{_nearest(key, known)}")
-        return replace(cls(**_DIFFERENCES[name]), **overrides)
+        return replace(cls(**_VALUES[name]), **overrides)
 
 
 def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
@@ -178,22 +178,44 @@ def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
     return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
-_AS_PUBLISHED: dict[str, Any] = {
-    "oversampling": None,
-    "shift_limit_cells": 0.0,
-    "hold_floor": 0.0,
-    "scale_train_interval": 1,
-}
+# every field, so that no choice for preset mscf changes what was published
 _REFERENCE: dict[str, Any] = {
-    **_AS_PUBLISHED,
+    "search_area_ratio": 25.0,
+    "sample_side_px": 200,
+    "oversampling": None,
+    "color_table": None,
+    "label_sigma": 0.066,
+    "pedestal_height": 0.044,
     "pedestal_ratio": 0.625,  # 2.5 in the code, but the side is of sample pixels and used as cells of 4 (spec B5)
+    "pedestal_min_cells": 5.0,
+    "pedestal_centred": False,
+    "pedestal_at_start": False,
     "label_rule": "split",
     "threat_rule": "window",
+    "threat_nu": 1.0,
+    "threat_delta": 0.01,
+    "hold_floor": 0.0,
+    "hold_frames": 0,
+    "learning_rate": 0.0158,
     "train_interval": 1,
+    "shift_limit_cells": 0.0,
     "iterations": 2,
+    "penalty": 0.1,
+    "penalty_growth": 10.0,
+    "penalty_max": 1e4,
+    "filter_weight": 20.0,
+    "ideal_weight": 840.0,
+    "previous_weight": 1.0,
+    "label_penalty": 27.0,
+    "scale_count": 33,
+    "scale_step": 1.03,
+    "scale_sigma": 0.5,
+    "scale_model_area_px": 512.0,
+    "scale_learning_rate": 0.024,
+    "scale_floor": 1e-4,
+    "scale_train_interval": 1,
 }
-_PAPER: dict[str, Any] = {
-    **_AS_PUBLISHED,
+_PAPER: dict[str, Any] = _REFERENCE | {
     "pedestal_ratio": 2.5,
     "pedestal_min_cells": 1.0,
     "pedestal_centred": True,
@@ -203,9 +225,8 @@ _PAPER: dict[str, Any] = {
     "train_interval": 2,
     "iterations": 3,
 }
-# what a preset has that the defaults have not
-_DIFFERENCES: dict[str, dict[str, Any]] = {
-    "mscf": {},
+_VALUES: dict[str, dict[str, Any]] = {
+    "mscf": {},  # the defaults
     "reference": _REFERENCE,
     "paper": _PAPER,
     # the paper's ablation (section IV-E): the terms of Eq. 4 taken away one by one

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from mscf import PRESETS, ConfigError, TrackerConfig
-from mscf.config import _RANGES
+from mscf.config import _RANGES, _VALUES
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -16,10 +16,19 @@ def test_the_default_is_preset_mscf() -> None:
     assert TrackerConfig.preset("mscf") == TrackerConfig()
 
 
-def test_a_preset_is_the_same_whatever_the_defaults_are() -> None:
-    assert TrackerConfig.preset("reference").label_rule == "split"
-    assert TrackerConfig.preset("paper").label_rule == "joint"
-    assert TrackerConfig.preset("bacf").label_rule == "fixed"
+@pytest.mark.parametrize("name", [name for name in PRESETS if name != "mscf"])
+def test_a_published_preset_names_every_field_so_that_new_defaults_do_not_change_it(name: str) -> None:
+    assert set(_VALUES[name]) == {field.name for field in fields(TrackerConfig)}
+
+
+def test_the_published_values_are_those_of_the_paper_and_its_code() -> None:
+    reference = TrackerConfig.preset("reference")
+    assert (reference.penalty, reference.penalty_max, reference.penalty_growth) == (0.1, 1e4, 10)
+    assert (reference.label_penalty, reference.learning_rate) == (27, 0.0158)
+    assert (reference.filter_weight, reference.ideal_weight, reference.previous_weight) == (20, 840, 1)
+    assert (reference.threat_delta, reference.threat_nu, reference.pedestal_height) == (0.01, 1, 0.044)
+    assert (reference.scale_count, reference.scale_step, reference.scale_learning_rate) == (33, 1.03, 0.024)
+    assert (reference.search_area_ratio, reference.sample_side_px, reference.label_sigma) == (25, 200, 0.066)
 
 
 def test_the_ablation_takes_the_terms_away_one_by_one() -> None:
