@@ -14,6 +14,7 @@ from mscf.errors import ConfigError
 
 LabelRule = Literal["fixed", "joint", "split"]
 ThreatRule = Literal["window", "peaks"]
+ResamplingRule = Literal["area", "bounded"]
 PresetName = Literal["mscf", "reference", "paper", "bacf", "bacf+al", "bacf+ahl"]
 PRESETS: tuple[str, ...] = get_args(PresetName)
 
@@ -21,7 +22,6 @@ PRESETS: tuple[str, ...] = get_args(PresetName)
 _RANGES: dict[str, tuple[float, float]] = {
     "search_area_ratio": (4, 100),
     "sample_side_px": (64, 512),
-    "oversampling": (1, 16),
     "label_sigma": (0.01, 1),
     "pedestal_height": (0, 1),
     "pedestal_ratio": (0.25, 10),
@@ -64,8 +64,7 @@ class TrackerConfig:
     # sampling (spec B1, B2)
     search_area_ratio: float = 25.0  # area of the search patch over that of the box
     sample_side_px: int = 200  # side of the resized search patch; a multiple of the 4 px cell
-    # samples per pixel of the resized patch and axis, at least, when a large crop is thinned; None: keep all
-    oversampling: float | None = 2.0
+    resampling: ResamplingRule = "bounded"  # area: as published, takes longer the larger the target is
 
     # features (spec B3, D)
     color_table: Path | None = None  # .npz with `table` (32768, 10); None: the package's own
@@ -114,8 +113,6 @@ class TrackerConfig:
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if value is None and name == "oversampling":
-                continue
             if isinstance(value, bool) or not isinstance(value, SupportsFloat):
                 raise ConfigError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
             if not low <= float(value) <= high:
@@ -139,7 +136,11 @@ class TrackerConfig:
         ):
             if not isinstance(getattr(self, name), Integral):
                 raise ConfigError(f"{name} must be a whole number, got {getattr(self, name)!r}")
-        for name, rules in (("label_rule", get_args(LabelRule)), ("threat_rule", get_args(ThreatRule))):
+        for name, rules in (
+            ("label_rule", get_args(LabelRule)),
+            ("threat_rule", get_args(ThreatRule)),
+            ("resampling", get_args(ResamplingRule)),
+        ):
             if getattr(self, name) not in rules:
                 raise ConfigError(f"{name} must be one of {', '.join(rules)}, got {getattr(self, name)!r}")
         for name in ("pedestal_centred", "pedestal_at_start"):
@@ -182,7 +183,7 @@ def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
 _REFERENCE: dict[str, Any] = {
     "search_area_ratio": 25.0,
     "sample_side_px": 200,
-    "oversampling": None,
+    "resampling": "area",
     "color_table": None,
     "label_sigma": 0.066,
     "pedestal_height": 0.044,

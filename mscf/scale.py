@@ -75,7 +75,7 @@ def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan
                 center_rc,
                 (max(1, math.floor(plan.base_hw[0] * factor)), max(1, math.floor(plan.base_hw[1] * factor))),
                 plan.model_hw,
-                oversampling=plan.config.oversampling,
+                rule=plan.config.resampling,
             )
             for factor in (scale * plan.factors).tolist()
         ]

@@ -194,9 +194,7 @@ def sample_features(
 ) -> Spectrum:
     """Windowed features of the search patch around `pos_rc`: (C, M, N') complex64 (spec B2, B3)."""
     side_px, out_px = plan.patch_side_px(scale), plan.config.sample_side_px
-    patch = sample(
-        frame, nearest_pixel(pos_rc), (side_px, side_px), (out_px, out_px), oversampling=plan.config.oversampling
-    )
+    patch = sample(frame, nearest_pixel(pos_rc), (side_px, side_px), (out_px, out_px), rule=plan.config.resampling)
     probe(f"patch_{stage}", patch)
     features = feature_stack(patch, CELL_PX, plan.color_table)  # (C, M, N)
     probe(f"features_{stage}", features)
