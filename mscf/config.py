@@ -91,7 +91,7 @@ class TrackerConfig:
     learning_rate: float = 0.0158  # of the model, per training
     train_interval: int = 1  # frames from one training to the next
     # up to this displacement the sample of the detection is shifted for training; 0: cut anew wherever it moved
-    shift_limit_cells: float = 4.0
+    shift_limit_cells: float = 8.0
     iterations: int = 2  # ADMM iterations; of rule "split" in each of its three loops
     penalty: float = 0.1  # mu of the first iteration
     penalty_growth: float = 10.0  # beta, of mu and gamma

@@ -151,7 +151,7 @@ class _Shake:
     """Attitude errors of a drone in light wind: a few sines per axis, from slow drift to vibration."""
 
     # (roll, pitch, yaw) in degrees at each frequency in Hz. The product bounds the image motion.
-    AMPLITUDES_DEG = ((1.3, 1.8, 4.2), (0.8, 0.8, 1.3), (0.25, 0.25, 0.3), (0.05, 0.04, 0.04))
+    AMPLITUDES_DEG = ((1.3, 1.2, 2.4), (0.8, 0.4, 0.5), (0.25, 0.2, 0.2), (0.05, 0.04, 0.04))
     FREQUENCIES_HZ = (0.13, 0.55, 1.7, 6.0)
 
     def __init__(self, seed: int) -> None:

@@ -191,7 +191,7 @@ def test_a_target_that_stays_is_learned_without_cutting_a_second_sample(frame: I
         assert "filter_f" in seen
 
 
-@pytest.mark.parametrize(("limit_cells", "cuts"), [(0.0, True), (4.0, False), (0.5, True)])
+@pytest.mark.parametrize(("limit_cells", "cuts"), [(0.0, True), (8.0, False), (0.5, True)])
 def test_a_small_displacement_shifts_the_sample_where_the_limit_allows(
     frame: Image, limit_cells: float, *, cuts: bool
 ) -> None:
@@ -204,7 +204,7 @@ def test_a_small_displacement_shifts_the_sample_where_the_limit_allows(
 
 def test_a_shifted_sample_is_nearly_the_one_cut_anew(frame: Image) -> None:
     models = []
-    for limit_cells in (0.0, 4.0):
+    for limit_cells in (0.0, 8.0):
         tracker = Tracker(TrackerConfig(shift_limit_cells=limit_cells, learning_rate=1.0))
         tracker.init(frame, BOX)
         seen: dict[str, Any] = {}
