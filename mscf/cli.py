@@ -67,19 +67,24 @@ def _add_demo(commands: "argparse._SubParsersAction[_Parser]") -> None:
     demo = commands.add_parser(
         "demo",
         help="track a target through a video, images, a camera, or the built-in flight",
-        description="Track a target and show it. Without SOURCE: a built-in synthetic flight with known truth.",
+        description="Track a target; write a video, boxes and a plot of it. Without SOURCE: a built-in synthetic flight with known truth.",
     )
     demo.add_argument(
         "source", nargs="?", metavar="SOURCE", help="video file, folder or glob of images, /dev/videoN or N"
     )
-    demo.add_argument("--box", type=_box, metavar="X,Y,W,H", help="target in the first frame: pixels, the first is 0,0")
+    demo.add_argument(
+        "--box",
+        type=_box,
+        metavar="X,Y,W,H",
+        help="target in the first frame, first pixel 0,0 (groundtruth.txt: 1,1); negative: --box=-5,2,30,30",
+    )
     demo.add_argument("--preset", choices=PRESETS, default="mscf", help="tracker to run (default: %(default)s)")
     demo.add_argument(
         "--compare", choices=PRESETS, action="append", default=[], help="run this one beside it; may be repeated"
     )
     demo.add_argument("--save", type=Path, metavar="OUT.mp4", help="video with boxes, response map and threat curve")
     demo.add_argument(
-        "--boxes", type=Path, metavar="OUT.txt", help="boxes, x,y,w,h a frame, 1-based as ground truth is"
+        "--boxes", type=Path, metavar="OUT.txt", help="boxes of --preset, x,y,w,h a frame, 1-based as ground truth is"
     )
     demo.add_argument(
         "--plot", type=Path, metavar="OUT.png", help="threat, its change, and errors where truth is known"
@@ -115,7 +120,7 @@ def _add_eval(commands: "argparse._SubParsersAction[_Parser]") -> None:
         "--tracker",
         action="append",
         metavar="NAME",
-        help="a preset or csrt; may be repeated (default: mscf, reference)",
+        help="a preset, or csrt (see make bench); may be repeated (default: mscf, reference)",
     )
     evaluate.add_argument(
         "--protocol",

@@ -13,6 +13,8 @@ MAX_BOX_SHARE = 4.0  # of the frame's sides; what is larger is a mistake, and wo
 def check_frame(frame: Image) -> None:
     """Raise FrameError where `frame` is not (H, W, 3) or (H, W) uint8."""
     if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8:
+        if frame is None:
+            raise FrameError("a frame must be an array of uint8, got None: did the video or camera open?")
         got = frame.dtype if isinstance(frame, np.ndarray) else type(frame).__name__
         raise FrameError(f"a frame must be an array of uint8, got {got}: convert with .astype(numpy.uint8)")
     is_color = frame.ndim == 3 and frame.shape[2] == 3

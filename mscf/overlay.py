@@ -58,10 +58,10 @@ def draw(
     picture = np.repeat(frame[..., None], 3, axis=2) if frame.ndim == 2 else frame.copy()
     unit = max(frame.shape[0] / 720, 0.35)  # sizes below are for 720 rows
     width_px = max(1, round(2 * unit))
-    if truth is not None:
-        _rectangle(picture, truth, TRUTH_BGR, 1)
     for tracker, color in reversed(list(zip(trackers, COLORS_BGR, strict=False))):  # the first one on top
         _rectangle(picture, tracker.box, color, width_px)
+    if truth is not None:
+        _rectangle(picture, truth, TRUTH_BGR, 1)
     _captions(picture, caption, trackers, unit, has_truth=truth is not None)
     _panels(picture, trackers, response, unit)
     return picture

@@ -96,7 +96,7 @@ class VideoFile:
         try:
             import av  # noqa: PLC0415 - an extra; without --save nobody needs it
         except ImportError as error:
-            raise OutputError("a video needs PyAV: pip install 'mscf-companion[recording]'") from error
+            raise OutputError("a video needs PyAV: pip install av, or '.[recording]' in the clone") from error
         check_writable(path)
         self._av = av
         self._path = path

@@ -59,5 +59,7 @@ def read_dataset(folder: Path) -> tuple[Sequence, ...]:
         raise SourceError(f"{folder} is not a folder: give the one that holds the sequences' folders")
     folders = sorted(path.parent for path in folder.glob("*/groundtruth.txt"))
     if not folders:
-        raise SourceError(f"{folder} holds no sequence: expected NAME/groundtruth.txt and NAME/img/ in it")
+        raise SourceError(
+            f"{folder} holds no sequence: expected NAME/groundtruth.txt and NAME/img/ in it (of one, its parent)"
+        )
     return tuple(read_sequence(path) for path in folders)

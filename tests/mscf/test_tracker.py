@@ -323,7 +323,7 @@ def test_update_before_init_says_what_to_do(frame: Image) -> None:
 BAD_FRAMES = [
     (np.zeros((10, 10, 3), np.float32), "uint8, got float32"),
     ([[1, 2]], "uint8, got list"),
-    (None, "uint8, got NoneType"),
+    (None, "got None: did the video or camera open"),
     (np.zeros((10, 10, 4), np.uint8), r"\(10, 10, 4\)"),
     (np.zeros((10,), np.uint8), r"\(10,\)"),
     (np.zeros((0, 10, 3), np.uint8), r"\(0, 10, 3\)"),
