@@ -67,11 +67,10 @@ def _add_demo(commands: "argparse._SubParsersAction[_Parser]") -> None:
     demo = commands.add_parser(
         "demo",
         help="track a target through a video, images, a camera, or the built-in flight",
-        description="Track a target; write a video, boxes and a plot of it. Without SOURCE: a built-in synthetic flight with known truth.",
+        description="Track a target; write a video, boxes and a plot of it. Without SOURCE: the built-in flight.",
     )
-    demo.add_argument(
-        "source", nargs="?", metavar="SOURCE", help="video file, folder or glob of images, /dev/videoN or N"
-    )
+    source_help = "video file, folder or glob of images, /dev/videoN or N"
+    demo.add_argument("source", nargs="?", metavar="SOURCE", help=source_help)
     demo.add_argument(
         "--box",
         type=_box,
