@@ -157,7 +157,7 @@ class TrackerConfig:
 
         Parameters
         ----------
-        name : `mscf` (the default), `reference` (the published code to the letter), `paper` (the paper as
+        name : `mscf` (the default), `reference` (the published code, step by step), `paper` (the paper as
             stated), `bacf`, `bacf+al`, `bacf+ahl` (the paper's ablation rows).
 
         Raises
