@@ -6,24 +6,19 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NoReturn
 
 import cv2
 from threadpoolctl import threadpool_limits
 
 from mscf.bench import run_bench
+from mscf.command_line import EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, EXIT_USAGE, Parser, box
 from mscf.config import PRESETS
 from mscf.demo import DemoOptions, ProgressStyle, run_demo
 from mscf.errors import MscfError
 from mscf.evaluation.datasets import read_dataset
 from mscf.evaluation.protocol import PROTOCOLS, run_dataset
 from mscf.evaluation.report import print_table
-from mscf.geometry import Box
 from mscf.source import open_source
-
-EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130
-EXIT_BROKEN_PIPE = 141
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -46,15 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_BROKEN_PIPE
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; `--help` has the rest."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="mscf", description="MSCF correlation filter tracker: see it, measure it.")
+    parser = Parser(prog="mscf", description="MSCF correlation filter tracker: see it, measure it.")
     parser.add_argument("--version", action="version", version=f"mscf {version('mscf-companion')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_demo(commands)
@@ -63,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_demo(commands: "argparse._SubParsersAction[_Parser]") -> None:
+def _add_demo(commands: "argparse._SubParsersAction[Parser]") -> None:
     demo = commands.add_parser(
         "demo",
         help="track a target through a video, images, a camera, or the built-in flight",
@@ -73,7 +61,7 @@ def _add_demo(commands: "argparse._SubParsersAction[_Parser]") -> None:
     demo.add_argument("source", nargs="?", metavar="SOURCE", help=source_help)
     demo.add_argument(
         "--box",
-        type=_box,
+        type=box,
         metavar="X,Y,W,H",
         help="target in the first frame, first pixel 0,0 (groundtruth.txt: 1,1); negative: --box=-5,2,30,30",
     )
@@ -108,7 +96,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     return 0 if is_complete else EXIT_INTERRUPTED
 
 
-def _add_eval(commands: "argparse._SubParsersAction[_Parser]") -> None:
+def _add_eval(commands: "argparse._SubParsersAction[Parser]") -> None:
     evaluate = commands.add_parser(
         "eval",
         help="accuracy on sequences with ground truth",
@@ -142,7 +130,7 @@ def _eval(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _add_bench(commands: "argparse._SubParsersAction[_Parser]") -> None:
+def _add_bench(commands: "argparse._SubParsersAction[Parser]") -> None:
     bench = commands.add_parser(
         "bench",
         help="milliseconds by stage, beside OpenCV's CSRT",
@@ -160,16 +148,6 @@ def _add_bench(commands: "argparse._SubParsersAction[_Parser]") -> None:
 def _bench(arguments: argparse.Namespace) -> int:
     run_bench(open_source(arguments.source), arguments.preset, arguments.max_frames, sys.stdout, arguments.json)
     return 0
-
-
-def _box(text: str) -> Box:
-    try:
-        x, y, w, h = (float(word) for word in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a box: give four numbers as X,Y,W,H, e.g. 618,329,53,46"
-        ) from None
-    return Box(x, y, w, h)
 
 
 def _count(text: str) -> int:

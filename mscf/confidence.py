@@ -1,62 +1,104 @@
-"""Confidence: how likely it is that the box holds the target, judged by the response alone."""
+"""Confidence: how likely it is that the box holds the target, judged by the responses alone.
+
+A logistic function of two logarithms, each relative to the first responses after the start: the peak of this
+response, and the running mean of the average peak-to-correlation energy. How the coefficients were found, what
+else was tried, and what the number is worth: docs/confidence.md; `python -m mscf.evaluation.calibration` finds
+them again.
+"""
 
 import math
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from mscf.arrays import Real
 
-SIDELOBE_HOLE_CELLS = 5  # half side of the square around the peak that is not sidelobe (Bolme et al., CVPR 2010)
-FIRST_PEAKS = 5  # responses after the start whose mean peak is the measure of a good one
+FIRST_RESPONSES = 5  # after the start, whose mean is the measure of a good one
+RECENT_RATE = 0.2  # of the running mean, per response: its memory is five responses
+LOWEST_PEAK = 1e-3  # below it there is no response to speak of: those of targets are of 0.02 and more
 
-# Logistic regression of "overlap with the truth at least 0.25" on the two logarithms below, each sequence with the
-# same weight: preset mscf, nine starts on each of eleven UAV sequences, 10 213 responses. Judged on the sequence
-# that was left out, the area under the ROC is 0.74; of the responses above 0.8, 87 % held the target, of those
-# below 0.6, 52 %. It knows nothing of looks: a look-alike that is followed steadily is given a high value.
-_BIAS = -2.70
-_LOG_PSR = 1.74
-_LOG_PEAK = 1.70
-_LOWEST = 1e-3  # of the arguments of the logarithms; no response of a target comes near it
+# docs/confidence.md has the command and the data
+BIAS = 2.00
+LOG_PEAK = 1.43
+LOG_APCE = 1.75
 
 
-def peak_to_sidelobe(response: Real) -> float:
-    """Peak-to-sidelobe ratio: (maximum - mean) / deviation, the latter two of all but 11 x 11 cells around it.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one response map says."""
+
+    log_peak: float  # -inf: there is none
+    log_apce: float  # of the average peak-to-correlation energy
+
+    @classmethod
+    def of(cls, response: Real) -> Self:
+        """Evidence of a response map (M, N) float32, of any values."""
+        peak = float(response.max())
+        if not peak > LOWEST_PEAK:
+            return cls(-math.inf, 0.0)
+        return cls(math.log(peak), math.log(peak_to_energy(response)))
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What the responses up to now were like."""
+
+    count: int = 0  # of responses, up to the first ones
+    first: Evidence = Evidence(0.0, 0.0)  # mean of the first ones
+    recent_log_apce: float = math.nan  # running mean; NaN: there is none yet
+
+    def after(self, evidence: Evidence) -> "History":
+        """History with one more response."""
+        starts_anew = math.isnan(self.recent_log_apce)
+        before = evidence.log_apce if starts_anew else self.recent_log_apce
+        recent = before + RECENT_RATE * (evidence.log_apce - before)
+        if self.count == FIRST_RESPONSES:
+            return replace(self, recent_log_apce=recent)
+        count = self.count + 1
+        first = Evidence(
+            self.first.log_peak + (max(evidence.log_peak, math.log(LOWEST_PEAK)) - self.first.log_peak) / count,
+            self.first.log_apce + (evidence.log_apce - self.first.log_apce) / count,
+        )
+        return History(count, first, recent)
+
+    def elsewhere(self) -> "History":
+        """History for another place: the first responses still count, the recent ones do not."""
+        return replace(self, recent_log_apce=math.nan)
+
+
+def peak_to_energy(response: Real) -> float:
+    """Average peak-to-correlation energy: (maximum - minimum)^2 over the mean of (value - minimum)^2.
+
+    High where one sharp peak stands over calm surroundings (Wang et al., CVPR 2017).
 
     Parameters
     ----------
-    response : (M, N) float32, circular, each side over 11 cells.
+    response : (M, N) float32.
 
     Returns
     -------
-    0 for a map that is constant.
+    1 .. M*N; 1 for a map that is constant.
     """
-    rows, cols = response.shape
-    row, col = np.unravel_index(int(np.argmax(response)), (rows, cols))
-    centred = np.roll(response, (rows // 2 - int(row), cols // 2 - int(col)), axis=(0, 1))
-    hole = np.zeros((rows, cols), dtype=bool)
-    reach = SIDELOBE_HOLE_CELLS
-    hole[rows // 2 - reach : rows // 2 + reach + 1, cols // 2 - reach : cols // 2 + reach + 1] = True
-    sidelobe = centred[~hole].astype(np.float64)
-    deviation = float(sidelobe.std())
-    return float((response[row, col] - sidelobe.mean()) / deviation) if deviation > 0 else 0.0
+    above = response.astype(np.float64) - float(response.min())
+    energy = float(np.mean(above * above))
+    return float(above.max()) ** 2 / energy if energy > 0 else 1.0
 
 
-def confidence(response: Real, first_peak: float) -> float:
-    """Probability in 0..1 that the target is where the peak is.
+def confidence(evidence: Evidence, history: History) -> float:
+    """Probability in 0..1 that the target is where the peak of a response is.
 
     Parameters
     ----------
-    response : (M, N) float32, circular.
-    first_peak : mean peak of the first responses after the start.
+    evidence : of that response.
+    history : up to and with that response.
 
     Returns
     -------
-    A number that rises with the peak-to-sidelobe ratio and with the peak relative to the first ones; 0 where
-    there is no positive peak.
+    A number that rises with the peak and with the recent peak-to-correlation energy; 0 where there is no peak.
     """
-    peak = float(response.max())
-    if not (peak > 0 and first_peak > 0):
+    if evidence.log_peak == -math.inf:
         return 0.0
-    log_psr = math.log(max(peak_to_sidelobe(response), _LOWEST))
-    log_peak = math.log(max(peak / first_peak, _LOWEST))
-    return 1 / (1 + math.exp(-(_BIAS + _LOG_PSR * log_psr + _LOG_PEAK * log_peak)))
+    log_peak = evidence.log_peak - history.first.log_peak
+    log_apce = history.recent_log_apce - history.first.log_apce
+    return 1 / (1 + math.exp(-(BIAS + LOG_PEAK * log_peak + LOG_APCE * log_apce)))

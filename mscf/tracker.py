@@ -1,12 +1,13 @@
 """The MSCF tracker: `init` once, `update` for every further frame."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mscf.arrays import Image, Probe, Spectrum, no_probe
-from mscf.confidence import FIRST_PEAKS, confidence
+from mscf.confidence import Evidence, History, confidence
 from mscf.config import TrackerConfig
 from mscf.errors import TrackerNotInitialisedError
 from mscf.features.fhog import CELL_PX
@@ -33,6 +34,7 @@ class TrackResult:
     threat: float  # mutation threat factor: 0 where there is no sub-peak, 1 where there is no positive peak
     scale: float  # size of the target over its size in the first frame
     confidence: float  # 0..1: how likely the box holds the target; see mscf.confidence for what that is worth
+    is_held: bool = False  # the target seems hidden: the box is where it was seen last
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +49,21 @@ class State:
     label_f: Spectrum  # (M, N') r
     scale_filter: ScaleFilter
     peak_mean: float  # running mean of the response's peak; NaN before the first response
-    first_peak: float  # mean of the first peaks, what a good response looks like; 0 before
+    history: History  # of the responses, for the confidence
     held: int  # frames for which the target has been held hidden
+
+
+def always(_result: TrackResult, /) -> bool:
+    """Learn every frame: what the tracker does where it is not told otherwise."""
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """All that a tracker knows at one moment; to be given back to `Tracker.restore`, not to be looked into."""
+
+    plan: Plan
+    state: State
 
 
 class Tracker:
@@ -69,7 +84,7 @@ class Tracker:
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self._config = TrackerConfig() if config is None else config
-        self._started: tuple[Plan, State] | None = None
+        self._started: Snapshot | None = None
 
     @property
     def config(self) -> TrackerConfig:
@@ -121,17 +136,21 @@ class Tracker:
             label_f=learned.label_f,
             scale_filter=train_scale(features, None, plan.scale),
             peak_mean=math.nan,
-            first_peak=0.0,
+            history=History(),
             held=0,
         )
-        self._started = plan, state
+        self._started = Snapshot(plan, state)
 
-    def update(self, frame: Image, *, probe: Probe = no_probe) -> TrackResult:
+    def update(
+        self, frame: Image, *, learn: Callable[[TrackResult], bool] = always, probe: Probe = no_probe
+    ) -> TrackResult:
         """Locate the target in `frame`, then learn from it.
 
         Parameters
         ----------
         frame : of the shape and dtype given to `init`.
+        learn : is asked, of what is going to be returned, whether the frame is to be learned. A target that is
+            held hidden is never learned.
         probe : is shown every intermediate array by name.
 
         Raises
@@ -143,12 +162,8 @@ class Tracker:
 
         After an exception the tracker is as it was before.
         """
-        if self._started is None:
-            raise TrackerNotInitialisedError("update was called before init: call init(frame, box) first")
-        plan, state = self._started
-        check_frame(frame)
-        check_same_shape(frame, plan.frame_shape)
-        frame = single_channel(frame) if plan.is_gray else frame
+        plan, state = self._current("update")
+        frame = accepted(frame, plan)
 
         # LOCALISATION (paper Eq. 14)
         sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="detect")
@@ -159,9 +174,13 @@ class Tracker:
         # SELECTION (paper Eq. 1, 2)
         threat = measure_threat(response, self._config, probe=probe)
         probe("threat", np.array(threat))
+        evidence = Evidence.of(response)
+        history = state.history.after(evidence)
+        sure = confidence(evidence, history)
 
         if is_hidden(peak, state, self._config):
-            after = replace(state, frame_index=state.frame_index + 1, held=state.held + 1)
+            after = replace(state, frame_index=state.frame_index + 1, history=history, held=state.held + 1)
+            result = result_of(after, peak, threat, sure, plan)
         else:
             offset_rc = locate_peak(response)  # cells
             pos_rc = displaced(state, offset_rc)
@@ -170,12 +189,14 @@ class Tracker:
             scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale)
             probe("scale_features_detect", scale_sample)
             scale = estimate_scale(scale_sample, state.scale, state.scale_filter, plan.scale, probe)
+            after = seen(state, peak, history, pos_rc, scale, self._config)
+            result = result_of(after, peak, threat, sure, plan)
             # TRAINING (paper Eq. 3-13)
-            after = seen(state, peak, pos_rc, scale, self._config)
-            if after.frame_index % self._config.train_interval == 0:
+            is_learned = learn(result)
+            if is_learned and after.frame_index % self._config.train_interval == 0:
                 train_f = training_sample(frame, sample_f, offset_rc, state, after, plan, probe)
                 after = train(after, train_f, threat, plan, probe)
-            if after.frame_index % self._config.scale_train_interval == 0:
+            if is_learned and after.frame_index % self._config.scale_train_interval == 0:
                 if scale != state.scale:  # else the sample is the same
                     scale_sample = scale_features(frame, pos_rc, scale, plan.scale)
                 probe("scale_features_train", scale_sample)
@@ -183,10 +204,84 @@ class Tracker:
                 probe("scale_numerator_f", after.scale_filter.num_f)
                 probe("scale_denominator", after.scale_filter.den)
 
-        self._started = plan, after
-        box = plan.box_at(after.pos_rc, after.scale)
-        sure = confidence(response, after.first_peak)
-        return TrackResult(box, peak, threat, after.scale / plan.first_scale, sure)
+        self._started = Snapshot(plan, after)
+        return result
+
+    def snapshot(self) -> Snapshot:
+        """What the tracker knows now. Nothing is copied, as nothing that a snapshot refers to is ever changed.
+
+        Raises
+        ------
+        TrackerNotInitialisedError
+            Before `init`.
+        """
+        plan, state = self._current("snapshot")
+        return Snapshot(plan, state)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Be as the tracker was when `snapshot` was taken, of this tracker or of one with the same configuration."""
+        self._started = snapshot
+
+    def look(self, frame: Image, center_xy: tuple[float, float], scale: float | None = None) -> TrackResult:
+        """What the filter finds around another place; nothing is learned and the tracker stays where it is.
+
+        The size is not measured: the box has the given one. It takes about half the time of an `update`.
+
+        Parameters
+        ----------
+        frame : of the shape and dtype given to `init`.
+        center_xy : `Box.center_xy` of a target in the middle of the search patch, px.
+        scale : size to look for, over the size in the first frame; None: that of the last box.
+
+        Raises
+        ------
+        TrackerNotInitialisedError, FrameError
+            As `update`.
+        """
+        plan, state = self._current("look")
+        frame = accepted(frame, plan)
+        pos_rc = center_xy[1] - 0.5, center_xy[0] - 0.5
+        there = replace(state, pos_rc=pos_rc, scale=state.scale if scale is None else scale * plan.first_scale)
+        sample_f = sample_features(frame, there.pos_rc, there.scale, plan, probe=no_probe, stage="detect")
+        response = inverse_dft(correlate(there.filter_f, sample_f), plan.grid_mn)  # (M, N)
+        evidence = Evidence.of(response)
+        sure = confidence(evidence, state.history.elsewhere().after(evidence))
+        threat = measure_threat(response, self._config)
+        found = replace(there, pos_rc=displaced(there, locate_peak(response)), held=0)
+        return result_of(found, float(response.max()), threat, sure, plan)
+
+    def resume(self, result: TrackResult) -> None:
+        """Go on from the place and size of `result`, of `look`, with what is known now.
+
+        The confidence no longer counts the responses at the former place.
+
+        Raises
+        ------
+        TrackerNotInitialisedError
+            Before `init`.
+        """
+        plan, state = self._current("resume")
+        pos_rc, _ = result.box.to_pos_size()
+        scale, history = result.scale * plan.first_scale, state.history.elsewhere()
+        self._started = Snapshot(plan, replace(state, pos_rc=pos_rc, scale=scale, history=history, held=0))
+
+    def _current(self, verb: str) -> tuple[Plan, State]:
+        if self._started is None:
+            raise TrackerNotInitialisedError(f"{verb} was called before init: call init(frame, box) first")
+        return self._started.plan, self._started.state
+
+
+def accepted(frame: Image, plan: Plan) -> Image:
+    """The frame as the features take it: (H, W, 3), or (H, W) where one channel is looked at.
+
+    Raises
+    ------
+    FrameError
+        If the frame is not of the planned shape, uint8.
+    """
+    check_frame(frame)
+    check_same_shape(frame, plan.frame_shape)
+    return single_channel(frame) if plan.is_gray else frame
 
 
 def sample_features(
@@ -208,6 +303,12 @@ def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, floa
     return row + offset_rc[0] * cell_px, col + offset_rc[1] * cell_px
 
 
+def result_of(state: State, peak: float, threat: float, sure: float, plan: Plan) -> TrackResult:
+    """What is said of a frame that led to `state`."""
+    box, scale = plan.box_at(state.pos_rc, state.scale), state.scale / plan.first_scale
+    return TrackResult(box, peak, threat, scale, sure, is_held=state.held > 0)
+
+
 def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:
     """Whether the response is so weak that the target must be behind something.
 
@@ -217,19 +318,19 @@ def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:
     return state.held < cfg.hold_frames and peak < cfg.hold_floor * state.peak_mean  # False while that is NaN
 
 
-def seen(state: State, peak: float, pos_rc: tuple[float, float], scale: float, cfg: TrackerConfig) -> State:
+def seen(
+    state: State, peak: float, history: History, pos_rc: tuple[float, float], scale: float, cfg: TrackerConfig
+) -> State:
     """State after a frame that shows the target, or in which waiting for it was given up."""
     starts_anew = math.isnan(state.peak_mean) or state.held >= cfg.hold_frames
     mean = peak if starts_anew else state.peak_mean + PEAK_MEAN_RATE * (peak - state.peak_mean)
-    count = state.frame_index + 1
-    first_peak = state.first_peak + (peak - state.first_peak) / count if count <= FIRST_PEAKS else state.first_peak
     return replace(
         state,
         frame_index=state.frame_index + 1,
         pos_rc=pos_rc,
         scale=scale,
         peak_mean=mean,
-        first_peak=first_peak,
+        history=history,
         held=0,
     )
 

@@ -214,6 +214,107 @@ def test_a_shifted_sample_is_nearly_the_one_cut_anew(frame: Image) -> None:
     assert cosine > 0.85
 
 
+# --- what long-term tracking is made of ---
+
+
+def followed(frame: Image) -> Tracker:
+    """A tracker with a history."""
+    tracker = Tracker()
+    tracker.init(frame, BOX)
+    for _ in range(6):
+        tracker.update(frame)
+    return tracker
+
+
+def test_a_restored_tracker_goes_on_as_if_nothing_had_happened(frame: Image) -> None:
+    tracker, untouched = followed(frame), followed(frame)
+    snapshot = tracker.snapshot()
+    for shift in (4, 9, 15):
+        tracker.update(np.roll(frame, shift, axis=1))
+    tracker.init(np.ascontiguousarray(frame[:200]), Box(20, 20, 50, 50))
+    tracker.restore(snapshot)
+    moved = np.roll(frame, (3, -5), axis=(0, 1))
+    assert tracker.update(moved) == untouched.update(moved)
+
+
+def test_a_look_finds_the_target_elsewhere_and_changes_nothing(frame: Image) -> None:
+    tracker, untouched = followed(frame), followed(frame)
+    far = np.roll(frame, (60, -90), axis=(0, 1))
+    there = tracker.look(far, (BOX.center_xy[0] - 90 + 8, BOX.center_xy[1] + 60 - 6))
+    assert there.box.iou(Box(BOX.x - 90, BOX.y + 60, BOX.w, BOX.h)) > 0.85
+    assert there.confidence > 0.7
+    nothing = tracker.look(far, (250, 30))
+    assert nothing.confidence < 0.5
+    assert tracker.update(frame) == untouched.update(frame)
+
+
+def test_a_look_where_the_tracker_is_sees_what_an_update_does(frame: Image) -> None:
+    tracker = followed(frame)
+    moved = np.roll(frame, (2, 4), axis=(0, 1))
+    (row, col), _ = tracker.look(frame, BOX.center_xy).box.to_pos_size()
+    look = tracker.look(moved, (col + 0.5, row + 0.5))
+    result = tracker.update(moved)
+    assert (look.peak, look.threat) == (result.peak, result.threat)
+    assert (look.box.x, look.box.y) == pytest.approx((result.box.x, result.box.y))
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.5])
+def test_a_look_for_another_size_finds_it(frame: Image, factor: float) -> None:
+    tracker = followed(frame)
+    row, col = BOX.to_pos_size()[0]
+    matrix = np.array([[factor, 0, col * (1 - factor)], [0, factor, row * (1 - factor)]])
+    resized = np.asarray(cv2.warpAffine(frame, matrix, (320, 240)), np.uint8)
+    fitting, other = tracker.look(resized, BOX.center_xy, factor), tracker.look(resized, BOX.center_xy)
+    assert (fitting.scale, other.scale) == pytest.approx((factor, 1))
+    assert fitting.box.w == pytest.approx(factor * BOX.w)
+    assert fitting.confidence > other.confidence
+
+
+def test_tracking_goes_on_from_a_sighting_with_what_was_learned(frame: Image) -> None:
+    tracker = followed(frame)
+    far = np.roll(frame, (60, -90), axis=(0, 1))
+    sighting = tracker.look(far, (BOX.center_xy[0] - 90, BOX.center_xy[1] + 60))
+    before = tracker.snapshot().state
+    tracker.resume(sighting)
+    assert tracker.snapshot().state.filter_f is before.filter_f
+    result = tracker.update(far)
+    assert result.box.iou(sighting.box) > 0.9
+    assert result.peak == pytest.approx(sighting.peak, rel=0.2)
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_a_frame_is_learned_if_what_is_said_of_it_is_good_enough(frame: Image, *, learns: bool) -> None:
+    tracker = followed(frame)
+    asked: list[Any] = []
+    before = tracker.snapshot().state
+
+    def learn(result: Any) -> bool:
+        asked.append(result)
+        return learns
+
+    result = tracker.update(np.roll(frame, 5, axis=1), learn=learn)
+    result = tracker.update(np.roll(frame, 10, axis=1), learn=learn)
+    after = tracker.snapshot().state
+    assert asked[-1] == result
+    assert result.box.x == pytest.approx(BOX.x + 10, abs=1)  # it is followed in either case
+    assert (after.filter_f is not before.filter_f) is learns
+    assert (after.scale_filter is not before.scale_filter) is learns
+
+
+def test_a_hidden_target_is_said_to_be_held_and_nobody_is_asked(rng: np.random.Generator) -> None:
+    frame, hidden = behind_a_wall(rng)
+    tracker = followed(frame)
+    assert not tracker.update(frame).is_held
+    assert tracker.update(hidden, learn=lambda _: pytest.fail("asked")).is_held
+    assert not tracker.look(frame, BOX.center_xy).is_held
+
+
+def test_what_needs_a_target_says_so_before_init(frame: Image) -> None:
+    for call in (Tracker().snapshot, lambda: Tracker().look(frame, (10, 10))):
+        with pytest.raises(TrackerNotInitialisedError, match=r"call init\(frame, box\) first"):
+            call()
+
+
 # --- targets and frames at the edge of what makes sense ---
 
 
