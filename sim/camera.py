@@ -11,7 +11,7 @@ import numpy as np
 
 from mscf.arrays import Image
 from mscf.geometry import Box
-from sim.cover import car_in_world, cover_before, silhouette
+from sim.cover import MeshSight, StillSight, cover_before, mesh_in_world, silhouette, still_in_view
 from sim.ground import ground_of
 from sim.painting import add_sky, draw_moving, draw_still, ground_motion_px, ground_picture
 from sim.sensor import blurred, developed
@@ -36,18 +36,25 @@ class Truth:
 
 def observe(world: World, camera: Camera, pose: Pose, time_s: float) -> Truth:
     """Truth of the picture that `render` would give, from geometry alone."""
+    return _truth(View(camera, pose), None, world, time_s)
+
+
+def _truth(view: View, still: list[StillSight] | None, world: World, time_s: float) -> Truth:
+    """`still` are the things in view, None if nobody has looked yet."""
     if world.target is None:
         return Truth(None, 0.0)
-    view = View(camera, pose)
-    mesh = car_in_world(world.target, time_s)
+    mesh = mesh_in_world(world.target, time_s)
     box = _box_in_frame(view, mesh)
     if box is None:
         return Truth(None, 0.0)
     window = Window.around(view.project(mesh.vertices_m)[0], margin_px=1)
-    body = silhouette(view, mesh, window)
-    rivals = [car_in_world(car, time_s) for car in world.traffic]
-    seen = cv2.bitwise_and(body, cv2.bitwise_not(cover_before(view, world, mesh, rivals, window)))
-    height, width = camera.size_hw
+    if still is None:
+        still = still_in_view(view, world.scenery, window)
+    body = silhouette(MeshSight.of(view, mesh), window)
+    rivals = [mesh_in_world(mover, time_s) for mover in world.traffic]
+    cover = cover_before(view, still, world.scenery.seed, mesh, rivals, window)
+    seen = cv2.bitwise_and(body, cv2.bitwise_not(cover))
+    height, width = view.camera.size_hw
     frame_area = np.zeros_like(seen)
     frame_area[max(-window.top, 0) : height - window.top, max(-window.left, 0) : width - window.left] = 255
     in_frame = cv2.countNonZero(cv2.bitwise_and(seen, frame_area))
@@ -62,6 +69,7 @@ def render(
     *,
     pose_at_close: Pose | None = None,
     exposure_gain: float = 1.0,
+    noise_time_s: float | None = None,
 ) -> tuple[Image, Truth]:
     """Picture of the world at `time_s`, and the truth in it.
 
@@ -70,6 +78,7 @@ def render(
     pose : of the vehicle when the shutter opens.
     pose_at_close : of the vehicle `camera.exposure_s` later, for the motion blur; None if it stands still.
     exposure_gain : brightness, 1 is the normal exposure.
+    noise_time_s : chooses the noise; None: `time_s`. A world that stands still is seen with fresh noise all the same.
 
     Returns
     -------
@@ -78,18 +87,21 @@ def render(
     view = View(camera, pose)
     view_at_close = View(camera, pose_at_close or pose)
     ground = ground_of(world.scenery)
+    seed = world.scenery.seed
+    still = still_in_view(view, world.scenery, view.frame())
     frame = ground_picture(view, ground)
-    draw_still(frame, view, ground, world.scenery)
+    add_sky(frame, view)
+    draw_still(frame, view, ground, still, seed)
     frame = blurred(frame, ground_motion_px(view, view_at_close))
-    truth = observe(world, camera, pose, time_s)
+    truth = _truth(view, still, world, time_s)
 
-    cars = world.traffic if world.target is None else (world.target, *world.traffic)
-    meshes = [(car_in_world(car, time_s), car_in_world(car, time_s + camera.exposure_s)) for car in cars]
+    movers = world.traffic if world.target is None else (world.target, *world.traffic)
+    meshes = [(mesh_in_world(mover, time_s), mesh_in_world(mover, time_s + camera.exposure_s)) for mover in movers]
     meshes.sort(key=lambda pair: -view.distance_m(pair[0].vertices_m.mean(axis=0)))
     for pair in meshes:
-        draw_moving(frame, (view, view_at_close), world, ground, pair)
-    add_sky(frame, view)
-    return developed(frame, world.scenery.seed, time_s, exposure_gain, camera.noise_std), truth
+        draw_moving(frame, (view, view_at_close), still, seed, ground, pair)
+    noise_s = time_s if noise_time_s is None else noise_time_s
+    return developed(frame, seed, noise_s, exposure_gain, camera.noise_std), truth
 
 
 def _box_in_frame(view: View, mesh: Mesh) -> Box | None:

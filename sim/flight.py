@@ -12,7 +12,7 @@ from mscf.arrays import Image
 from mscf.geometry import Box
 from sim.camera import Camera, Truth, observe, render
 from sim.scenery import village
-from sim.world import Car, Motion, Pose, World
+from sim.world import Motion, Mover, Pose, World
 
 TARGET_BGR = (112, 70, 52)  # a dark blue
 RIVAL_BGR = (104, 72, 58)  # nearly the same
@@ -70,8 +70,8 @@ class SyntheticFlight:
         self.frames_per_s = frames_per_s
         self.seed = seed
         self.camera = Camera(size_hw, focal_px=900.0 * size_hw[1] / 1280)
-        traffic = (Car(RIVAL_MOTION, RIVAL_BGR), Car(THIRD_MOTION, (176, 180, 182)))
-        self.world = World(village(seed), Car(TARGET_MOTION, TARGET_BGR), traffic)
+        traffic = (Mover(RIVAL_MOTION, RIVAL_BGR), Mover(THIRD_MOTION, (176, 180, 182)))
+        self.world = World(village(seed), Mover(TARGET_MOTION, TARGET_BGR), traffic)
         self._shake = _Shake(seed)
 
     def __len__(self) -> int:

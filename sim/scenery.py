@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from sim.world import Bridge, Car, ColorBgr, House, Motion, Plot, Road, Scenery, Surface, Tree
+from sim.world import Bridge, ColorBgr, House, Motion, Mover, Plot, Road, Scenery, Surface, Tree
 
 MAIN_ROAD = Road(is_northward=True, offset_m=0.0, width_m=7.4)
 CROSS_ROAD = Road(is_northward=False, offset_m=34.0, width_m=7.0)
@@ -72,9 +72,9 @@ def village(seed: int) -> Scenery:
         for north_m in np.arange(-24.0, 17.0, 2.6):
             if rng.random() < 0.5:
                 yaw_rad = math.pi / 2 + math.pi * rng.integers(2) + rng.normal(0, 0.03)
-                parked.append(Car(Motion((north_m, row_east_m + rng.normal(0, 0.2)), yaw_rad), pick(CAR_COLORS_BGR)))
+                parked.append(Mover(Motion((north_m, row_east_m + rng.normal(0, 0.2)), yaw_rad), pick(CAR_COLORS_BGR)))
     for north_m, east_m in ((9.0, -16.0), (-13.0, -24.0), (8.5, -30.0), (58.0, 20.0), (61.0, 29.0)):
-        parked.append(Car(Motion((north_m, east_m), rng.uniform(0, math.tau)), pick(CAR_COLORS_BGR)))
+        parked.append(Mover(Motion((north_m, east_m), rng.uniform(0, math.tau)), pick(CAR_COLORS_BGR)))
 
     treeless = Scenery(
         seed,

@@ -8,21 +8,21 @@ import numpy as np
 
 from mscf.arrays import Image, Real64
 
+LONGEST_SMEAR_PX = 48.0  # far more than a steady flight gives, and still a kernel of bearable size
 _LENS_SIGMA_PX = 0.55  # a sharp lens behind a demosaiced sensor
 _NOISE_MARGIN_PX = 64
 
 
 def blurred(image: Image, motion_px: Real64) -> Image:
-    """`image` through the lens, smeared along `motion_px` (du, dv)."""
+    """`image` through the lens, smeared along `motion_px` (du, dv), at most `LONGEST_SMEAR_PX` of it."""
+    motion_px = motion_px * min(1.0, LONGEST_SMEAR_PX / max(float(np.abs(motion_px).max()), 1.0))
     reach = float(np.abs(motion_px).max()) / 2
     # The kernel ends where less than 2 % of the light would fall.
     half = max(1, math.ceil(reach + 0.25))
     ticks = np.arange(-half, half + 1)
-    kernel = np.zeros((2 * half + 1, 2 * half + 1))
-    for share in np.linspace(-0.5, 0.5, 2 * half + 3):
-        column = np.exp(-((ticks - share * motion_px[1]) ** 2) / (2 * _LENS_SIGMA_PX**2))
-        row = np.exp(-((ticks - share * motion_px[0]) ** 2) / (2 * _LENS_SIGMA_PX**2))
-        kernel += column[:, None] * row
+    shares = np.linspace(-0.5, 0.5, 2 * half + 3)[:, None]
+    rows, columns = (np.exp(-((ticks - shares * way_px) ** 2) / (2 * _LENS_SIGMA_PX**2)) for way_px in motion_px)
+    kernel = columns.T @ rows  # the light spot at each moment, summed
     return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()), np.uint8)
 
 

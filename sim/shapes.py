@@ -1,4 +1,4 @@
-"""Solid shapes as lists of flat faces: cars, houses, bridges.
+"""Solid shapes as lists of flat faces: cars, people, houses, bridges.
 
 A shape is built of convex parts, lowest first. Seen from above, painting its front faces in list order
 hides what has to be hidden, so no depth buffer is needed.
@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from mscf.arrays import Real64
-from sim.world import SUN_NED, Bridge, ColorBgr, House, Pose
-
-CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M = 4.4, 1.8, 1.45
+from sim.world import SUN_NED, Bridge, ColorBgr, House, Kind, Pose
 
 GLASS_BGR = (62, 54, 46)
 TYRE_BGR = (30, 29, 28)
+TROUSERS_BGR = (70, 52, 44)
+SKIN_BGR = (122, 150, 190)
+HAIR_BGR = (40, 52, 66)
 CONCRETE_BGR = (142, 150, 154)
 
 
@@ -27,8 +28,8 @@ class Mesh:
     """Flat faces in painting order.
 
     vertices_m : (V, 3), NED or body FRD.
-    faces : vertex indices of each of the F faces.
-    anchors : (F,), one vertex index of each face.
+    faces : the vertices of each of the F faces.
+    anchors : (F,), the first vertex of each face.
     normals : (F, 3), outward.
     colors_bgr : (F, 3), under full light.
     is_textured : per face, whether it wears the ground texture of its own plan (roofs, bridge decks).
@@ -37,7 +38,7 @@ class Mesh:
     """
 
     vertices_m: Real64
-    faces: tuple[npt.NDArray[np.intp], ...]
+    faces: tuple[slice, ...]
     anchors: npt.NDArray[np.intp]
     normals: Real64
     colors_bgr: Real64
@@ -59,17 +60,13 @@ class Mesh:
         paint_bgr = np.minimum(self.colors_bgr * light[:, None], 255).tolist()
         return replace(self, light=tuple(light.tolist()), paint_bgr=tuple(paint_bgr))
 
-    def moved(self, offset_ned_m: Real64) -> "Mesh":
-        """The mesh shifted by `offset_ned_m`, (3,)."""
-        return replace(self, vertices_m=self.vertices_m + offset_ned_m) if offset_ned_m.any() else self
-
 
 class _Builder:
     """Collects faces; the only mutable thing here, and it does not leave this module."""
 
     def __init__(self) -> None:
         self.vertices: list[Real64] = []
-        self.faces: list[npt.NDArray[np.intp]] = []
+        self.faces: list[slice] = []
         self.normals: list[Real64] = []
         self.colors: list[ColorBgr] = []
         self.is_textured: list[bool] = []
@@ -80,7 +77,7 @@ class _Builder:
         normal *= math.copysign(1.0, normal @ (corners_m[0] - inside_m)) / np.linalg.norm(normal)
         start = sum(map(len, self.vertices))
         self.vertices.append(corners_m)
-        self.faces.append(np.arange(start, start + len(corners_m)))
+        self.faces.append(slice(start, start + len(corners_m)))
         self.normals.append(normal)
         self.colors.append(color_bgr)
         self.is_textured.append(is_textured)
@@ -117,7 +114,7 @@ class _Builder:
         return Mesh(
             np.concatenate(self.vertices),
             tuple(self.faces),
-            np.array([face[0] for face in self.faces]),
+            np.array([face.start for face in self.faces]),
             np.stack(self.normals),
             np.array(self.colors, dtype=float),
             tuple(self.is_textured),
@@ -129,16 +126,27 @@ def _pane(u_0: float, u_1: float, v_0: float, v_1: float) -> list[tuple[float, f
     return [(u_0, v_0), (u_1, v_0), (u_1, v_1), (u_0, v_1)]
 
 
+def _wheel(u: float, radius_u: float, radius_v: float) -> list[tuple[float, float]]:
+    """Corners of a wheel on the side of a car."""
+    turns = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    return [(u + radius_u * math.cos(a), 0.05 + radius_v * math.sin(a)) for a in turns]
+
+
 def _ring(plan_xy_m: Sequence[tuple[float, float]], height_m: float) -> Real64:
     """Ring (K, 3) of plan points at one height above ground."""
     return np.array([(x, y, -height_m) for x, y in plan_xy_m])
 
 
 @cache
-def car_mesh(color_bgr: ColorBgr) -> Mesh:
-    """A saloon in body coordinates, standing on down = 0 with its middle at the origin."""
+def mover_mesh(kind: Kind, color_bgr: ColorBgr) -> Mesh:
+    """A mover in body coordinates, standing on down = 0 with its middle at the origin."""
+    make = {Kind.SALOON: _saloon, Kind.VAN: _van, Kind.PEDESTRIAN: _pedestrian}[kind]
+    return make(color_bgr)
+
+
+def _saloon(color_bgr: ColorBgr) -> Mesh:
     builder = _Builder()
-    length, width = CAR_LENGTH_M / 2, CAR_WIDTH_M / 2
+    length, width = Kind.SALOON.value[0] / 2, Kind.SALOON.value[1] / 2
     plan = [
         (length, -0.62), (length, 0.62), (length - 0.45, width), (0.35 - length, width),
         (-length, 0.68), (-length, -0.68), (0.35 - length, -width), (length - 0.45, -width),
@@ -146,8 +154,7 @@ def car_mesh(color_bgr: ColorBgr) -> Mesh:
     lower = _ring(plan, 0.28)
     # The belt line falls towards the bonnet: still one plane.
     upper = np.array([(0.97 * x, 0.94 * y, -(0.88 - 0.045 * x)) for x, y in plan])
-    turns = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    wheels = [[(u + 0.10 * math.cos(a), 0.05 + 0.5 * math.sin(a)) for a in turns] for u in (0.12, 0.84)]
+    wheels = [_wheel(u, 0.10, 0.5) for u in (0.12, 0.84)]
     mirrored = [[(1 - u, v) for u, v in wheel] for wheel in wheels]
     builder.add_prism(
         lower,
@@ -166,7 +173,7 @@ def car_mesh(color_bgr: ColorBgr) -> Mesh:
     )
     cabin = [(0.98, -0.78), (0.98, 0.78), (-1.8, 0.78), (-1.8, -0.78)]
     base = np.array([(x, y, -(0.88 - 0.045 * x)) for x, y in cabin])
-    roof = _ring([(0.25, -0.6), (0.25, 0.6), (-1.15, 0.6), (-1.15, -0.6)], CAR_HEIGHT_M)
+    roof = _ring([(0.25, -0.6), (0.25, 0.6), (-1.15, 0.6), (-1.15, -0.6)], Kind.SALOON.value[2])
     builder.add_prism(
         base,
         roof,
@@ -179,6 +186,62 @@ def car_mesh(color_bgr: ColorBgr) -> Mesh:
             (3, _pane(0.10, 0.46, 0.1, 0.88), GLASS_BGR),
             (3, _pane(0.50, 0.90, 0.1, 0.88), GLASS_BGR),
         ],
+    )
+    return builder.mesh()
+
+
+def _van(color_bgr: ColorBgr) -> Mesh:
+    """A box with a short sloping nose."""
+    builder = _Builder()
+    length, width, height_m = Kind.VAN.value[0] / 2, Kind.VAN.value[1] / 2, Kind.VAN.value[2]
+    plan = [(length, -width), (length, width), (-length, width), (-length, -width)]
+    wheels = [_wheel(u, 0.075, 0.35) for u in (0.16, 0.80)]
+    mirrored = [[(1 - u, v) for u, v in wheel] for wheel in wheels]
+    builder.add_prism(
+        _ring(plan, 0.3),
+        _ring(plan, 1.1),
+        color_bgr,
+        decals=[
+            *((1, wheel, TYRE_BGR) for wheel in wheels),
+            *((3, wheel, TYRE_BGR) for wheel in mirrored),
+            (0, _pane(0.02, 0.2, 0.4, 0.75), (225, 232, 232)),
+            (0, _pane(0.8, 0.98, 0.4, 0.75), (225, 232, 232)),
+            (2, _pane(0.0, 0.08, 0.5, 1.0), (40, 34, 150)),
+            (2, _pane(0.92, 1.0, 0.5, 1.0), (40, 34, 150)),
+        ],
+    )
+    base = [(length, -width), (length, width), (-length, width), (-length, -width)]
+    roof = [(length - 1.1, -0.9), (length - 1.1, 0.9), (-length, 0.9), (-length, -0.9)]
+    builder.add_prism(
+        _ring(base, 1.1),
+        _ring(roof, height_m),
+        color_bgr,
+        decals=[
+            (0, _pane(0.06, 0.94, 0.1, 0.8), GLASS_BGR),
+            (1, _pane(0.08, 0.26, 0.15, 0.7), GLASS_BGR),
+            (3, _pane(0.74, 0.92, 0.15, 0.7), GLASS_BGR),
+            (2, _pane(0.1, 0.46, 0.4, 0.85), GLASS_BGR),
+            (2, _pane(0.54, 0.9, 0.4, 0.85), GLASS_BGR),
+        ],
+    )
+    return builder.mesh()
+
+
+def _pedestrian(color_bgr: ColorBgr) -> Mesh:
+    """Legs in the middle of a step, a torso with its arms, a head."""
+    builder = _Builder()
+    for front_m, left_m in ((0.25, -0.2), (0.0, 0.02)):
+        foot = _pane(front_m - 0.25, front_m, left_m, left_m + 0.18)
+        hip = _pane(-0.1, 0.1, left_m, left_m + 0.18)
+        builder.add_prism(_ring(foot, 0.0), _ring(hip, 0.85), TROUSERS_BGR)
+    builder.add_prism(
+        _ring(_pane(-0.13, 0.13, -0.22, 0.22), 0.8), _ring(_pane(-0.12, 0.12, -0.25, 0.25), 1.45), color_bgr
+    )
+    turns = np.linspace(0, 2 * np.pi, 6, endpoint=False)
+    ring = [(0.1 * math.cos(a), 0.09 * math.sin(a)) for a in turns]
+    builder.add_prism(_ring(ring, 1.45), _ring(ring, 1.68), SKIN_BGR)
+    builder.add_prism(
+        _ring(ring, 1.68), _ring([(0.7 * x, 0.7 * y) for x, y in ring], Kind.PEDESTRIAN.value[2]), HAIR_BGR
     )
     return builder.mesh()
 
@@ -217,6 +280,8 @@ def bridge_meshes(bridge: Bridge, tile_m: float, piece_m: float = 20.0) -> list[
     for edge in (half - 0.3, -half):  # parapets; the northern one first, as most cameras look north
         plan = _pane(edge, edge + 0.3, -piece_m / 2, piece_m / 2)
         builder.add_prism(_ring(plan, high_m), _ring(plan, high_m + 0.9), CONCRETE_BGR)
+    low = _ring(_pane(-half, half, -piece_m / 2, piece_m / 2), low_m)
+    builder.add_face(low, np.array([0.0, 0.0, -high_m]), CONCRETE_BGR)  # last: seen from below only
     piece, builder = builder.mesh(), _Builder()
     plan = _pane(-half * 0.6, half * 0.6, -0.6, 0.6)
     builder.add_prism(_ring(plan, 0.0), _ring(plan, low_m), CONCRETE_BGR, top="open")

@@ -54,7 +54,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Scripted drive on the ground: a path of straights and arcs, and a speed along it.
+    """Scripted way on the ground: a path of straights and arcs, and a speed along it.
 
     segments : (length in m, curvature in 1/m, positive to the right), in order. After the last one the
         path goes on straight, before the first one it came straight.
@@ -84,6 +84,16 @@ class Motion:
             then_s, then_mps = knot_s, knot_mps
         return math.nan  # no time reaches infinity
 
+    def speed_mps(self, time_s: float) -> float:
+        """Speed along the path, in m/s."""
+        knots_s, speeds_mps = zip(*self.speeds, strict=True)
+        return float(np.interp(time_s, knots_s, speeds_mps))
+
+    def velocity_ned_mps(self, time_s: float) -> tuple[float, float, float]:
+        """Velocity in m/s: the speed along the path's direction."""
+        speed_mps, yaw_rad = self.speed_mps(time_s), self.pose(time_s).yaw_rad
+        return (speed_mps * math.cos(yaw_rad), speed_mps * math.sin(yaw_rad), 0.0)
+
     def pose(self, time_s: float) -> Pose:
         """Pose on the ground at `time_s`."""
         (north_m, east_m), yaw_rad = self.start_ne_m, self.start_yaw_rad
@@ -102,12 +112,24 @@ class Motion:
         return Pose((north_m, east_m, 0.0), yaw_rad=yaw_rad)
 
 
+class Kind(Enum):
+    """What a mover is, with its length, width and height in m."""
+
+    SALOON = (4.4, 1.8, 1.45)
+    VAN = (5.4, 2.0, 2.5)
+    PEDESTRIAN = (0.5, 0.5, 1.75)
+
+
 @dataclass(frozen=True, slots=True)
-class Car:
-    """A saloon, 4.4 m long; parked if its motion has no speed."""
+class Mover:
+    """A car or a person; stands if its motion has no speed.
+
+    The middle of its plan is at `motion.pose`, on the ground.
+    """
 
     motion: Motion
     color_bgr: ColorBgr
+    kind: Kind = Kind.SALOON
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +212,8 @@ class Plot:
 class Scenery:
     """All that stands still, on a square tile centred on the origin that repeats every `tile_m`.
 
-    `tile_m` must be a multiple of 40 m, so that the ground's grain fits on it.
+    `tile_m` must be a multiple of 40 m, so that the ground's grain fits on it. What is `parked` casts the
+    shadow of a saloon.
 
     Compared by identity, which makes it a cheap key for what is painted from it.
     """
@@ -202,7 +225,7 @@ class Scenery:
     trees: tuple[Tree, ...] = ()
     houses: tuple[House, ...] = ()
     bridges: tuple[Bridge, ...] = ()
-    parked: tuple[Car, ...] = ()
+    parked: tuple[Mover, ...] = ()
 
     def __post_init__(self) -> None:
         if self.tile_m <= 0 or self.tile_m % TILE_STEP_M:
@@ -211,8 +234,8 @@ class Scenery:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A scenery, the one car that is the target (None: an empty street), and the other traffic."""
+    """A scenery, the one mover that is the target (None: an empty street), and the other traffic."""
 
     scenery: Scenery
-    target: Car | None
-    traffic: tuple[Car, ...] = ()
+    target: Mover | None
+    traffic: tuple[Mover, ...] = ()

@@ -46,6 +46,15 @@ def test_way_is_zero_at_time_zero_wherever_the_knots_are() -> None:
     assert motion.distance_m(2.0) == pytest.approx(14.0)
 
 
+@pytest.mark.parametrize("time_s", [-1.0, 0.5, 2.5, 3.1, 4.5, 5.5, 9.0])
+def test_velocity_is_the_slope_of_the_position(time_s: float) -> None:
+    step_s = 1e-5
+    before, after = (TURN.pose(time_s + dt_s).pos_ned_m for dt_s in (-step_s, step_s))
+    velocity_ned_mps = TURN.velocity_ned_mps(time_s)
+    np.testing.assert_allclose(velocity_ned_mps, np.subtract(after, before) / (2 * step_s), atol=1e-4)
+    assert TURN.speed_mps(time_s) == pytest.approx(np.linalg.norm(velocity_ned_mps))
+
+
 def test_car_turns_right_on_a_quarter_circle() -> None:
     motion = Motion((10.0, 20.0), segments=TURN.segments, speeds=((0.0, 30.0 + 4.0 * math.pi),))
     pose = motion.pose(1.0)
