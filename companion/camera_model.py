@@ -1,0 +1,176 @@
+"""From a pixel to a direction over the ground, and back; the attitudes that this needs.
+
+Chain: pixel -> camera axes (forward, right, down; undistorted) -> body FRD by the mount -> level frame by roll and
+pitch -> azimuth and depression; with the yaw, earth bearing. All rotations are Rz(yaw) Ry(pitch) Rx(roll).
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from companion.config import Config
+from companion.types import Attitude
+from mscf.arrays import Real64
+
+HISTORY_S = 2.0  # longer than any frame is useful
+_MAX_GAP_S = 0.3  # between two attitudes, over which nothing is interpolated, and beyond the last one
+
+
+def wrapped(angle_rad: float) -> float:
+    """The angle in -pi..pi."""
+    return math.remainder(angle_rad, math.tau)
+
+
+def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Real64:
+    """(3, 3) that takes FRD coordinates of a body to the frame in which it has these angles."""
+    (c_r, s_r), (c_p, s_p), (c_y, s_y) = ((math.cos(a), math.sin(a)) for a in (roll_rad, pitch_rad, yaw_rad))
+    return np.array(
+        [
+            [c_y * c_p, c_y * s_p * s_r - s_y * c_r, c_y * s_p * c_r + s_y * s_r],
+            [s_y * c_p, s_y * s_p * s_r + c_y * c_r, s_y * s_p * c_r - c_y * s_r],
+            [-s_p, c_p * s_r, c_p * c_r],
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Pinhole camera with OpenCV's distortion, fixed to the vehicle.
+
+    size_hw : of a frame, px. focal_px : the same for both axes; the principal point is the frame's middle.
+    mount_rpy_rad : of the camera in the body, FRD; pitch -90 degrees looks straight down.
+    """
+
+    size_hw: tuple[int, int]
+    focal_px: float
+    distortion: tuple[float, ...] = ()
+    mount_rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, config: Config, size_hw: tuple[int, int]) -> "CameraModel":
+        """Model of the configured camera for frames of `size_hw`, which a driver may have chosen otherwise."""
+        camera = config.camera
+        mount = tuple(math.radians(a) for a in (camera.mount_roll_deg, camera.mount_pitch_deg, camera.mount_yaw_deg))
+        scale = size_hw[1] / camera.width_px
+        return cls(size_hw, config.focal_px * scale, camera.distortion, (mount[0], mount[1], mount[2]))
+
+    @cached_property
+    def _body_from_camera(self) -> Real64:
+        return rotation(*self.mount_rpy_rad)
+
+    @cached_property
+    def _matrix(self) -> Real64:
+        height, width = self.size_hw
+        f = self.focal_px
+        return np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
+
+    def ray_frd(self, uv: tuple[float, float]) -> Real64:
+        """Unit vector (3,) in body FRD through pixel (u, v), whose centre has integer coordinates.
+
+        With distortion, a pixel outside the frame counts as the nearest one in it: the lens was measured there only,
+        and its polynomial may turn back and call what is far outside the middle.
+        """
+        height, width = self.size_hw
+        if self.distortion:
+            inside = min(max(uv[0], 0.0), width - 1.0), min(max(uv[1], 0.0), height - 1.0)
+            point = np.array([[inside]], dtype=np.float64)
+            right, down = cv2.undistortPoints(point, self._matrix, np.array(self.distortion))[0, 0]
+        else:
+            right, down = (uv[0] - (width - 1) / 2) / self.focal_px, (uv[1] - (height - 1) / 2) / self.focal_px
+        ray = self._body_from_camera @ np.array([1.0, right, down])
+        return np.asarray(ray / np.linalg.norm(ray))
+
+    def pixel(self, ray_frd: Real64) -> tuple[float, float] | None:
+        """Pixel (u, v) of a direction (3,) in body FRD, in or out of the frame; None: behind the camera."""
+        forward, right, down = (float(value) for value in self._body_from_camera.T @ ray_frd)
+        if forward <= 1e-6:
+            return None
+        if self.distortion:
+            point = np.array([[right / forward, down / forward, 1.0]])
+            u, v = cv2.projectPoints(point, np.zeros(3), np.zeros(3), self._matrix, np.array(self.distortion))[0][0, 0]
+            return float(u), float(v)
+        height, width = self.size_hw
+        u = self.focal_px * right / forward + (width - 1) / 2
+        return u, self.focal_px * down / forward + (height - 1) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """Where something is seen from the vehicle: in the level frame, and on earth."""
+
+    azimuth_rad: float  # from the nose to the right
+    depression_rad: float  # below the horizon
+    bearing_rad: float  # from north to the east, -pi..pi
+
+
+def direction(ray_frd: Real64, attitude: Attitude) -> Direction:
+    """Direction of a body ray (3,) at an attitude."""
+    x, y, z = (float(value) for value in rotation(attitude.roll_rad, attitude.pitch_rad, 0.0) @ ray_frd)
+    azimuth_rad = math.atan2(y, x)
+    return Direction(azimuth_rad, math.atan2(z, math.hypot(x, y)), wrapped(azimuth_rad + attitude.yaw_rad))
+
+
+def ray_to(ned: Real64, attitude: Attitude) -> Real64:
+    """Unit vector (3,) in body FRD towards an offset (3,) in NED; the inverse of `direction`."""
+    ray = rotation(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad).T @ ned
+    return np.asarray(ray / max(float(np.linalg.norm(ray)), 1e-9))
+
+
+class AttitudeHistory:
+    """The attitudes of the last two seconds, to be asked for the one at a frame's time."""
+
+    def __init__(self) -> None:
+        self._attitudes: deque[Attitude] = deque()
+
+    @property
+    def newest(self) -> Attitude | None:
+        """The last one that came."""
+        return self._attitudes[-1] if self._attitudes else None
+
+    def add(self, attitude: Attitude) -> None:
+        """Take in an attitude; one that is not newer than the last is dropped."""
+        if self._attitudes and attitude.time_s <= self._attitudes[-1].time_s:
+            return
+        self._attitudes.append(attitude)
+        while attitude.time_s - self._attitudes[0].time_s > HISTORY_S:
+            self._attitudes.popleft()
+
+    def clear(self) -> None:
+        """Forget all: the autopilot began anew."""
+        self._attitudes.clear()
+
+    def at(self, time_s: float) -> Attitude | None:
+        """Attitude at a time, interpolated; None where none is near.
+
+        Up to 0.3 s after the newest one, that one turned on by its yaw rate: a frame may be newer than the link.
+        """
+        later: Attitude | None = None
+        for earlier in reversed(self._attitudes):
+            if earlier.time_s <= time_s:
+                if later is None:
+                    gap_s = time_s - earlier.time_s
+                    yaw_rad = wrapped(earlier.yaw_rad + gap_s * earlier.yaw_rate_radps)
+                    turned = Attitude(time_s, earlier.roll_rad, earlier.pitch_rad, yaw_rad, earlier.yaw_rate_radps)
+                    return turned if gap_s <= _MAX_GAP_S else None
+                return _between(earlier, later, time_s) if later.time_s - earlier.time_s <= _MAX_GAP_S else None
+            later = earlier
+        return None
+
+
+def _between(earlier: Attitude, later: Attitude, time_s: float) -> Attitude:
+    share = (time_s - earlier.time_s) / (later.time_s - earlier.time_s)
+
+    def mixed(first: float, second: float) -> float:
+        return wrapped(first + share * wrapped(second - first))
+
+    return Attitude(
+        time_s,
+        mixed(earlier.roll_rad, later.roll_rad),
+        mixed(earlier.pitch_rad, later.pitch_rad),
+        mixed(earlier.yaw_rad, later.yaw_rad),
+        earlier.yaw_rate_radps + share * (later.yaw_rate_radps - earlier.yaw_rate_radps),
+    )

@@ -1,0 +1,358 @@
+"""MAVLink 2: bytes to events, setpoints and requests to bytes. Sans-I/O: no port, no thread, no clock.
+
+One codec is one component (191, the onboard computer) on one vehicle: that of the first autopilot whose heartbeat
+arrives, unless the configuration names another. Everything else on the link is not for us.
+"""
+
+import math
+import os
+import struct
+from typing import TYPE_CHECKING, Any
+
+os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink at import; version 1 cannot carry what we send
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.flight_modes import flight_mode, request_numbers
+from companion.safety import SafeSetpoint
+from companion.types import (
+    Attitude,
+    Autopilot,
+    AutopilotText,
+    Direction,
+    FlightMode,
+    Heartbeat,
+    HeightReading,
+    Landed,
+    LandedReading,
+    LinkEvent,
+    LocalState,
+    ModeAnswer,
+    Parameter,
+    RangeReading,
+    RcChannels,
+    Rebooted,
+    Text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# velocity and yaw rate count, positions, accelerations and yaw do not; the force bit stays clear
+VELOCITY_AND_YAW_RATE = 1479
+TEXT_LENGTH = 50  # of one STATUSTEXT
+AUTOPILOT_COMPONENT = 1
+_FLOAT = struct.Struct("<f")
+_REBOOT_S = 1.0  # by which time_boot_ms goes back; less is reordering on the link
+_CLOCK_LEAK = 1e-4  # s/s: a quartz drifts less, and a link whose delay has grown is found again
+_MAX_BACKLOG = 65536  # bytes handed to the parser at once; a longer read is old
+
+_AUTOPILOTS = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
+    mavlink.MAV_AUTOPILOT_PX4: Autopilot.PX4,
+}
+_MULTICOPTERS = frozenset(
+    {
+        mavlink.MAV_TYPE_QUADROTOR,
+        mavlink.MAV_TYPE_COAXIAL,
+        mavlink.MAV_TYPE_HELICOPTER,
+        mavlink.MAV_TYPE_HEXAROTOR,
+        mavlink.MAV_TYPE_OCTOROTOR,
+        mavlink.MAV_TYPE_TRICOPTER,
+        mavlink.MAV_TYPE_DODECAROTOR,
+        mavlink.MAV_TYPE_DECAROTOR,
+    }
+)
+_LANDED = {
+    mavlink.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
+    mavlink.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
+    mavlink.MAV_LANDED_STATE_IN_AIR: Landed.IN_AIR,
+    mavlink.MAV_LANDED_STATE_LANDING: Landed.LANDING,
+}
+_FRAMES = {"local_ned": mavlink.MAV_FRAME_LOCAL_NED, "body_ned": mavlink.MAV_FRAME_BODY_NED}
+_DIRECTIONS = {
+    mavlink.MAV_SENSOR_ROTATION_NONE: Direction.FORWARD,
+    mavlink.MAV_SENSOR_ROTATION_PITCH_270: Direction.DOWN,
+}
+ATTITUDE_HZ = 50.0
+# Hz of what we ask for
+RATES_HZ: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 10.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+}
+
+
+class _Outbox:
+    """What pymavlink writes to; its sequence numbers advance only in `send`."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def write(self, data: bytes) -> None:
+        self.data += data
+
+    def drain(self) -> bytes:
+        data = bytes(self.data)
+        self.data.clear()
+        return data
+
+
+class _BootClock:
+    """From the autopilot's time since boot to our clock: the smallest delay seen is taken for none.
+
+    MAVLink's TIMESYNC is not used: it would take off half of its shortest round trip, of which only those below 20 ms
+    count. What is left here is at most those 10 ms: at 45 deg/s less than half a degree of bearing.
+    """
+
+    def __init__(self) -> None:
+        self._offset_s = math.inf
+        self._boot_s = -math.inf
+        self._arrival_s = 0.0
+
+    def has_gone_back(self, boot_s: float) -> bool:
+        return boot_s < self._boot_s - _REBOOT_S
+
+    def reset(self) -> None:
+        self.__init__()  # type: ignore[misc]  # all of it begins anew
+
+    def ours_s(self, boot_s: float, arrival_s: float) -> float:
+        leaked_s = self._offset_s + _CLOCK_LEAK * max(arrival_s - self._arrival_s, 0.0)
+        self._offset_s = min(leaked_s, arrival_s - boot_s)
+        self._boot_s, self._arrival_s = max(boot_s, self._boot_s), arrival_s
+        return boot_s + self._offset_s
+
+
+class MavlinkCodec:
+    """Bytes in, events out; setpoints, requests and texts in, bytes out.
+
+    Parameters
+    ----------
+    system_id : of the vehicle; 0: that of the first autopilot heard.
+    component_id : ours.
+    setpoint_frame : local_ned, or body_ned, which both autopilots rotate by the yaw.
+    """
+
+    def __init__(self, system_id: int = 0, component_id: int = 191, setpoint_frame: str = "local_ned") -> None:
+        self._wanted_id = system_id
+        self._outbox = _Outbox()
+        self._mav = mavlink.MAVLink(self._outbox, srcSystem=system_id or 1, srcComponent=component_id)
+        self._mav.robust_parsing = True
+        self._frame = _FRAMES[setpoint_frame]
+        self._is_body = setpoint_frame == "body_ned"
+        self._clock = _BootClock()
+        self._autopilot: tuple[int, int, Autopilot] | None = None  # system, component, kind
+        self._yaw_rad: float | None = None
+        self._text_id = 0
+        self._readers: dict[str, Callable[[Any, float], list[LinkEvent]]] = {
+            "ATTITUDE": self._attitude,
+            "LOCAL_POSITION_NED": self._local,
+            "GLOBAL_POSITION_INT": _height,
+            "EXTENDED_SYS_STATE": _landed,
+            "DISTANCE_SENSOR": _range,
+            "RC_CHANNELS": _rc,
+            "PARAM_VALUE": self._parameter,
+            "COMMAND_ACK": self._ack,
+            "STATUSTEXT": _text,
+        }
+
+    @property
+    def autopilot(self) -> Autopilot | None:
+        """Kind of the autopilot, once it has been heard."""
+        return self._autopilot[2] if self._autopilot is not None else None
+
+    # ---------------------------------------------------------------------------------- bytes -> events
+    def receive(self, data: bytes, now_s: float) -> list[LinkEvent]:
+        """Events in what has arrived, in any chunks; never raises, whatever the bytes.
+
+        A command to this component is answered with UNSUPPORTED; the answer is in the next bytes out.
+        """
+        events: list[LinkEvent] = []
+        for message in self._parsed(data[-_MAX_BACKLOG:]):
+            kind = message.get_type()
+            if kind == "BAD_DATA":
+                continue
+            if kind == "HEARTBEAT":
+                events += self._heartbeat(message, now_s)
+                continue
+            if kind in {"COMMAND_LONG", "COMMAND_INT"}:
+                self._refuse(message)
+                continue
+            sender = (message.get_srcSystem(), message.get_srcComponent())
+            if self._autopilot is None or sender != self._autopilot[:2] or kind not in self._readers:
+                continue
+            boot_ms = getattr(message, "time_boot_ms", None)
+            if boot_ms is not None:
+                if self._clock.has_gone_back(boot_ms / 1000):
+                    self._clock.reset()
+                    events.append(Rebooted(now_s))
+                time_s = self._clock.ours_s(boot_ms / 1000, now_s)
+            else:
+                time_s = now_s
+            events += self._readers[kind](message, time_s)
+        return events
+
+    def _parsed(self, data: bytes) -> list[Any]:
+        messages = self._mav.parse_buffer(data) or []
+        # pymavlink frees its buffer only when nothing is left in it, which may never happen
+        del self._mav.buf[: self._mav.buf_index]
+        self._mav.buf_index = 0
+        return messages
+
+    def _heartbeat(self, message: Any, now_s: float) -> list[LinkEvent]:
+        """A heartbeat of the vehicle; the first one latches it. Ground stations and cameras say autopilot 8."""
+        kind = _AUTOPILOTS.get(message.autopilot)
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if kind is None or (self._wanted_id and sender[0] != self._wanted_id):
+            return []
+        if self._autopilot is None:
+            self._autopilot = (*sender, kind)
+            self._mav.srcSystem = sender[0]
+        if self._autopilot[:2] != sender:
+            return []
+        mode, name = flight_mode(kind, message.custom_mode)
+        is_bad = message.system_status in {mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY}
+        is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        return [Heartbeat(now_s, kind, message.type in _MULTICOPTERS, mode, name, is_armed, is_bad)]
+
+    def _attitude(self, message: Any, time_s: float) -> list[LinkEvent]:
+        angles = message.roll, message.pitch, message.yaw, message.yawspeed
+        if not all(map(math.isfinite, angles)):
+            return []
+        self._yaw_rad = message.yaw
+        return [Attitude(time_s, *angles)]
+
+    def _local(self, message: Any, time_s: float) -> list[LinkEvent]:
+        place, speed = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
+        return [LocalState(time_s, place, speed)] if all(map(math.isfinite, (*place, *speed))) else []
+
+    def _parameter(self, message: Any, time_s: float) -> list[LinkEvent]:
+        """PX4 carries whole numbers byte by byte in the float, ArduPilot converts them."""
+        value = message.param_value
+        if self.autopilot is Autopilot.PX4 and message.param_type != mavlink.MAV_PARAM_TYPE_REAL32:
+            value = _integer_in(value)
+        return [Parameter(message.param_id, float(value))] if math.isfinite(value) else []
+
+    def _ack(self, message: Any, time_s: float) -> list[LinkEvent]:
+        if message.command != mavlink.MAV_CMD_DO_SET_MODE:
+            return []
+        return [ModeAnswer(message.result == mavlink.MAV_RESULT_ACCEPTED)]
+
+    def _refuse(self, message: Any) -> None:
+        """Answer a command to us at once: silence would be asked again and again."""
+        if (message.target_system, message.target_component) != (self._mav.srcSystem, self._mav.srcComponent):
+            return
+        self._mav.command_ack_send(
+            message.command,
+            mavlink.MAV_RESULT_UNSUPPORTED,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
+        )
+
+    # ---------------------------------------------------------------------------------- events -> bytes
+    def drain(self) -> bytes:
+        """All bytes to be written since the last call."""
+        return self._outbox.drain()
+
+    def send_setpoint(self, setpoint: SafeSetpoint, now_s: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED with velocity and yaw rate, the other fields 0.
+
+        Nothing is sent before an autopilot was heard, nor in body_ned before its attitude is known.
+        """
+        if self._autopilot is None or (self._is_body and self._yaw_rad is None):
+            return
+        north, east, down = setpoint.velocity_ned_mps
+        if self._is_body and self._yaw_rad is not None:
+            c, s = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
+            north, east = c * north + s * east, c * east - s * north
+        self._mav.set_position_target_local_ned_send(
+            int(now_s * 1000) & 0xFFFFFFFF,
+            self._autopilot[0],
+            AUTOPILOT_COMPONENT,
+            self._frame,
+            VELOCITY_AND_YAW_RATE,
+            *(0.0, 0.0, 0.0),
+            *(north, east, down),
+            *(0.0, 0.0, 0.0),
+            0.0,
+            setpoint.yaw_rate_radps,
+        )
+
+    def send_heartbeat(self, *, is_active: bool, is_healthy: bool) -> None:
+        """Ours: an onboard computer on standby, active, or in trouble."""
+        status = mavlink.MAV_STATE_ACTIVE if is_active else mavlink.MAV_STATE_STANDBY
+        if not is_healthy:
+            status = mavlink.MAV_STATE_CRITICAL
+        self._mav.heartbeat_send(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, status)
+
+    def send_mode_request(self, mode: FlightMode) -> None:
+        """Ask for a flight mode other than the one in which we are obeyed."""
+        if self._autopilot is not None:
+            second, third = request_numbers(self._autopilot[2], mode)
+            self._command(mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, second, third)
+
+    def send_rate_requests(self) -> None:
+        """Ask for the telemetry that steering needs."""
+        if self._autopilot is not None:
+            for number, rate_hz in RATES_HZ.items():
+                self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
+
+    def send_stream_request(self) -> None:
+        """The old way to ask, for ArduPilot versions that do not know the new one: all streams at 20 Hz."""
+        if self._autopilot is not None:
+            self._mav.request_data_stream_send(
+                self._autopilot[0], self._autopilot[1], mavlink.MAV_DATA_STREAM_ALL, 20, 1
+            )
+
+    def send_parameter_request(self, name: str) -> None:
+        """Ask for one parameter."""
+        if self._autopilot is not None:
+            self._mav.param_request_read_send(self._autopilot[0], self._autopilot[1], name.encode(), -1)
+
+    def send_text(self, text: Text) -> None:
+        """STATUSTEXT, in chunks of 50 characters where it is longer; the last one is known by not being full."""
+        data = text.text.encode("ascii", "replace")
+        is_long = len(data) > TEXT_LENGTH
+        chunks = [data[k : k + TEXT_LENGTH] for k in range(0, len(data) + 1, TEXT_LENGTH)] if is_long else [data]
+        self._text_id = self._text_id % 0xFFFF + 1 if len(chunks) > 1 else self._text_id
+        for number, chunk in enumerate(chunks):
+            identity = self._text_id if len(chunks) > 1 else 0
+            self._mav.statustext_send(int(text.severity), chunk, identity, number)
+
+    def _command(self, command: int, *parameters: float) -> None:
+        assert self._autopilot is not None
+        padded = [*map(float, parameters), *[0.0] * (7 - len(parameters))]
+        self._mav.command_long_send(self._autopilot[0], self._autopilot[1], command, 0, *padded)
+
+
+def _integer_in(value: float) -> int:
+    """Whole number whose bytes are those of a float32."""
+    return int.from_bytes(_FLOAT.pack(value), "little", signed=True)
+
+
+def _height(message: Any, time_s: float) -> list[LinkEvent]:
+    return [HeightReading(time_s, message.relative_alt / 1000)]
+
+
+def _landed(message: Any, time_s: float) -> list[LinkEvent]:
+    return [LandedReading(time_s, _LANDED.get(message.landed_state, Landed.UNKNOWN))]
+
+
+def _range(message: Any, time_s: float) -> list[LinkEvent]:
+    direction = _DIRECTIONS.get(message.orientation)
+    is_valid = message.min_distance < message.current_distance < message.max_distance
+    return [RangeReading(time_s, direction, message.current_distance / 100)] if direction and is_valid else []
+
+
+def _rc(message: Any, time_s: float) -> list[LinkEvent]:
+    count = min(message.chancount, 18)
+    values = [getattr(message, f"chan{k}_raw") for k in range(1, count + 1)]
+    return [RcChannels(time_s, tuple(0 if value == 0xFFFF else value for value in values))]
+
+
+def _text(message: Any, _time_s: float) -> list[LinkEvent]:
+    return [AutopilotText(message.severity, message.text)]

@@ -1,0 +1,192 @@
+"""The application without its edges: bytes, track samples and orders in; bytes, selections and texts out.
+
+The command loop on the vehicle and the simulator's loop both drive this one class, each with its own time.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from companion.codec import ATTITUDE_HZ, MavlinkCodec
+from companion.config import Config
+from companion.controller import Controller, ControlOutput
+from companion.parameters import WANTED, advice
+from companion.safety import stop
+from companion.types import (
+    Attitude,
+    AutopilotText,
+    ControlInput,
+    Heartbeat,
+    LinkEvent,
+    OperatorCommand,
+    Parameter,
+    Rebooted,
+    Select,
+    Severity,
+    Text,
+    TrackSample,
+)
+from companion.vehicle_state import VehicleState
+from mscf import Box
+
+HEARTBEAT_EVERY_S = 1.0
+RATE_CHECK_EVERY_S = 5.0
+MIN_RATE_SHARE = 0.6  # of a rate that was asked for; below, it is asked for again
+TEXT_EVERY_S = 1.0  # of what is no change of state
+PARAMETER_EVERY_S = 2.0  # a parameter that does not come is asked for again, so often:
+PARAMETER_TRIES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one step of the loop did."""
+
+    data: bytes  # for the port
+    control: ControlOutput
+    vehicle: VehicleState
+    texts: tuple[Text, ...]  # for the log: what the operator is told
+    autopilot_texts: tuple[AutopilotText, ...]  # for the log: what the autopilot said
+
+
+class Follower:
+    """Runs the controller on one vehicle's link.
+
+    Parameters
+    ----------
+    config : a checked configuration.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._controller = Controller(config)
+        self._codec = MavlinkCodec(config.link.system_id, config.link.component_id, config.link.setpoint_frame)
+        self._heartbeat_s = -math.inf
+        self._rates_s = math.inf  # when they were asked for; not before an autopilot is there
+        self._attitudes = 0  # since then
+        self._low_rates = 0  # how often in a row they stayed low
+        self._parameters_s = -math.inf
+        self._parameter_tries = 0
+        self._read: set[str] = set()  # parameters, since the autopilot began
+        self._advised: set[str] = set()
+        self._queue: deque[Text] = deque(maxlen=16)  # texts that can wait
+        self._queued_s = -math.inf
+        self._has_started = False
+
+    def step(
+        self,
+        now_s: float,
+        data: bytes,
+        track: TrackSample | None,
+        commands: tuple[OperatorCommand, ...] = (),
+        *,
+        is_healthy: bool = True,
+    ) -> Step:
+        """One period of the command loop.
+
+        Parameters
+        ----------
+        data : what the link has brought since the last step.
+        track : the newest sample there is.
+        commands : of the operator, since the last step.
+        is_healthy : whether camera and tracker work; the heartbeat says so.
+        """
+        events = tuple(self._codec.receive(data, now_s))
+        commands = (*self._at_start(track), *commands)
+        output = self._controller.step(ControlInput(now_s, track, events, commands))
+        # the request first: after a gap a stream alone would bring PX4 back to OFFBOARD
+        if output.request is not None:
+            self._codec.send_mode_request(output.request)
+        if output.setpoint is not None:
+            self._codec.send_setpoint(output.setpoint, now_s)
+        self._keep_up(events, now_s)
+        texts = (*output.texts, *self._due_text(now_s))
+        for text in texts:
+            self._codec.send_text(text)
+        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
+            self._heartbeat_s = now_s
+            self._codec.send_heartbeat(is_active=output.mode.is_engaged, is_healthy=is_healthy)
+        said = tuple(event for event in events if isinstance(event, AutopilotText))
+        return Step(self._codec.drain(), output, self._controller.vehicle, texts, said)
+
+    def farewell(self, now_s: float) -> bytes:
+        """What to write when the process is asked to end: zero velocity three times, and the request to hold.
+
+        Nothing where setpoints do not flow: the vehicle is not ours then.
+        """
+        is_streaming = self._controller.mode.is_streaming
+        request = self._controller.shut_down()
+        if is_streaming:
+            for count in range(3):
+                self._codec.send_setpoint(stop(), now_s + count / 1000)
+        if request is not None:
+            self._codec.send_mode_request(request)
+            self._codec.send_text(Text(Severity.WARNING, "Follow ended: shutting down"))
+        return self._codec.drain()
+
+    def _at_start(self, track: TrackSample | None) -> tuple[OperatorCommand, ...]:
+        """The configured selection, with the first frame."""
+        if self._has_started or track is None:
+            return ()
+        self._has_started = True
+        select = self._config.select
+        if select.at_start == "nothing":
+            return ()
+        return (Select(Box(*select.box) if select.at_start == "box" else None),)
+
+    def _keep_up(self, events: tuple[LinkEvent, ...], now_s: float) -> None:
+        """Ask for telemetry and parameters, again where they do not come."""
+        has_begun = any(isinstance(event, Rebooted) for event in events)
+        is_there = self._codec.autopilot is not None
+        if has_begun or (is_there and math.isinf(self._rates_s)):
+            self._ask_rates(now_s)
+            self._parameter_tries, self._read = 0, set()
+        self._attitudes += sum(isinstance(event, Attitude) for event in events)
+        if now_s - self._rates_s >= RATE_CHECK_EVERY_S:
+            wanted = ATTITUDE_HZ * (now_s - self._rates_s)
+            is_low = self._attitudes < MIN_RATE_SHARE * wanted
+            # a slow loop reads what a fast link brought: only the rate on the link counts
+            self._low_rates = self._low_rates + 1 if is_low else 0
+            if is_low:
+                self._ask_rates(now_s)
+                if self._low_rates > 1:
+                    self._codec.send_stream_request()
+            self._rates_s, self._attitudes = now_s, 0
+        self._ask_parameters(events, now_s)
+
+    def _ask_rates(self, now_s: float) -> None:
+        self._codec.send_rate_requests()
+        self._rates_s, self._attitudes = now_s, 0
+
+    def _ask_parameters(self, events: tuple[LinkEvent, ...], now_s: float) -> None:
+        """Read the parameters that matter once a start of the autopilot, and say what should be changed."""
+        kind = self._codec.autopilot
+        if kind is None:
+            return
+        self._read |= {event.name for event in events if isinstance(event, Parameter)}
+        missing = [name for name in WANTED[kind] if name not in self._read]
+        is_due = now_s - self._parameters_s >= PARAMETER_EVERY_S and self._parameter_tries < PARAMETER_TRIES
+        if missing and is_due:
+            self._parameters_s = now_s
+            self._parameter_tries += 1
+            for name in missing:
+                self._codec.send_parameter_request(name)
+        if any(isinstance(event, Parameter) for event in events):
+            for line in advice(kind, self._controller.vehicle.parameters):
+                if line not in self._advised:
+                    self._advised.add(line)
+                    self._queue.append(Text(Severity.NOTICE, line))
+
+    def _due_text(self, now_s: float) -> tuple[Text, ...]:
+        if not self._queue or now_s - self._queued_s < TEXT_EVERY_S:
+            return ()
+        self._queued_s = now_s
+        return (self._queue.popleft(),)
+
+    def is_connected(self, now_s: float) -> bool:
+        """Whether an autopilot's heartbeat is fresh."""
+        return self._controller.vehicle.is_alive(now_s)
+
+    @property
+    def heartbeat(self) -> Heartbeat | None:
+        """The autopilot's last heartbeat."""
+        return self._controller.vehicle.heartbeat

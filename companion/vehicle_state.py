@@ -1,0 +1,98 @@
+"""What is known of the vehicle: the newest reading of each kind, folded from the link's events."""
+
+from dataclasses import dataclass, field, replace
+
+from companion.types import (
+    Attitude,
+    Direction,
+    Heartbeat,
+    HeightReading,
+    Landed,
+    LandedReading,
+    LinkEvent,
+    LocalState,
+    Parameter,
+    RangeReading,
+    RcChannels,
+    Rebooted,
+)
+
+MAX_HEARTBEAT_AGE_S = 3.0
+MAX_ATTITUDE_AGE_S = 0.3
+MAX_POSITION_AGE_S = 0.5
+MAX_RANGEFINDER_AGE_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """Newest readings, None where there is none; parameters by name."""
+
+    heartbeat: Heartbeat | None = None
+    attitude: Attitude | None = None
+    local: LocalState | None = None
+    height: HeightReading | None = None
+    landed: LandedReading | None = None
+    forward_range: RangeReading | None = None
+    down_range: RangeReading | None = None
+    rc: RcChannels | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+
+    def after(self, event: LinkEvent) -> "VehicleState":
+        """State with an event taken in."""
+        match event:
+            case Heartbeat():
+                return replace(self, heartbeat=event)
+            case Attitude():
+                return replace(self, attitude=event)
+            case LocalState():
+                return replace(self, local=event)
+            case HeightReading():
+                return replace(self, height=event)
+            case LandedReading():
+                return replace(self, landed=event)
+            case RangeReading(direction=Direction.FORWARD):
+                return replace(self, forward_range=event)
+            case RangeReading():
+                return replace(self, down_range=event)
+            case RcChannels():
+                return replace(self, rc=event)
+            case Parameter():
+                return replace(self, parameters={**self.parameters, event.name: event.value})
+            case Rebooted():
+                return VehicleState(parameters=self.parameters)
+            case _:
+                return self
+
+    def is_alive(self, now_s: float) -> bool:
+        """Whether a heartbeat came within the last 3 s."""
+        return self.heartbeat is not None and now_s - self.heartbeat.time_s <= MAX_HEARTBEAT_AGE_S
+
+    def fresh_attitude(self, now_s: float) -> Attitude | None:
+        """The attitude, where it is not too old to steer by."""
+        attitude = self.attitude
+        return attitude if attitude is not None and now_s - attitude.time_s <= MAX_ATTITUDE_AGE_S else None
+
+    def fresh_local(self, now_s: float) -> LocalState | None:
+        """The position, where it is not too old to steer by."""
+        local = self.local
+        return local if local is not None and now_s - local.time_s <= MAX_POSITION_AGE_S else None
+
+    def height_m(self, now_s: float) -> float | None:
+        """Height above the place of take-off: as the autopilot says it, else of its local frame."""
+        if self.height is not None and now_s - self.height.time_s <= 2 * MAX_POSITION_AGE_S:
+            return self.height.height_m
+        local = self.fresh_local(now_s)
+        return -local.pos_ned_m[2] if local is not None else None
+
+    def height_over_ground_m(self, now_s: float) -> float | None:
+        """Height above what is below: of a rangefinder that looks down, else above the place of take-off."""
+        down = self.down_range
+        if down is not None and now_s - down.time_s <= MAX_RANGEFINDER_AGE_S:
+            return down.distance_m
+        return self.height_m(now_s)
+
+    def is_flying(self) -> bool | None:
+        """Whether it is in the air; None where it does not say."""
+        if self.landed is None or self.landed.landed is Landed.UNKNOWN:
+            return None
+        return self.landed.landed is Landed.IN_AIR

@@ -1,0 +1,295 @@
+"""What ends an engagement: every way, from every mode in which setpoints flow, on both autopilots."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from cockpit import ZERO, Cockpit, brought_to, sent, speed_mps
+
+from companion.engagement import Reason
+from companion.modes import Mode
+from companion.types import (
+    Autopilot,
+    Deselect,
+    Disengage,
+    Engage,
+    FlightMode,
+    Heartbeat,
+    Landed,
+    LandedReading,
+    Rebooted,
+    Select,
+)
+
+STREAMING = [mode for mode in Mode if mode.is_streaming]
+OBEYED = [mode for mode in STREAMING if mode is not Mode.LEAVING]
+AUTOPILOTS = [*Autopilot]
+
+
+def leave_mode(cockpit: Cockpit) -> None:
+    cockpit.fly(FlightMode.PILOT)
+
+
+def disarm(cockpit: Cockpit) -> None:
+    cockpit.heartbeat = replace(cockpit.heartbeat, is_armed=False)
+
+
+def touch_ground(cockpit: Cockpit) -> None:
+    cockpit.landed = Landed.ON_GROUND
+
+
+def begin_landing(cockpit: Cockpit) -> None:
+    cockpit.landed = Landed.LANDING
+
+
+def reboot(cockpit: Cockpit) -> None:
+    cockpit.step(events=(Rebooted(cockpit.now_s),))
+
+
+ENDS: list[tuple[Callable[[Cockpit], None], Reason]] = [
+    (leave_mode, Reason.MODE_LEFT),
+    (disarm, Reason.DISARMED),
+    (touch_ground, Reason.LANDED),
+    (begin_landing, Reason.LANDED),
+    (reboot, Reason.REBOOTED),
+]
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mode", STREAMING)
+@pytest.mark.parametrize(("end", "reason"), ENDS)
+def test_what_takes_the_vehicle_away_ends_the_stream_at_once_and_for_good(
+    end: Callable[[Cockpit], None], reason: Reason, mode: Mode, autopilot: Autopilot
+) -> None:
+    cockpit = brought_to(mode, autopilot)
+    at = len(cockpit.outputs)
+    end(cockpit)
+    cockpit.step()
+    is_by_itself = mode is Mode.LEAVING and reason is Reason.MODE_LEFT  # that was asked for
+    assert (f"Follow ended: {reason.value}" in cockpit.texts) is not is_by_itself
+    cockpit.heartbeat = replace(cockpit.heartbeat, is_armed=True)
+    cockpit.landed = Landed.IN_AIR
+    cockpit.is_seen = True
+    cockpit.run(1.0)
+    cockpit.fly(FlightMode.EXTERNAL)  # the mode comes back
+    cockpit.run(2.0)
+    assert {(output.setpoint, output.request) for output in cockpit.outputs[at:]} == {(None, None)}
+    assert cockpit.mode is Mode.TRACKING
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mode", OBEYED)
+def test_after_the_mode_came_back_an_engage_starts_again(mode: Mode, autopilot: Autopilot) -> None:
+    cockpit = brought_to(mode, autopilot)
+    cockpit.fly(FlightMode.PILOT)
+    cockpit.is_seen = True
+    cockpit.run(1.0)
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(1.0)
+    cockpit.step(Engage())
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+@pytest.mark.parametrize("mode", STREAMING)
+def test_a_mode_that_was_left_and_came_back_within_one_step_was_left(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    away = replace(cockpit.heartbeat, mode=FlightMode.PILOT, time_s=cockpit.now_s)
+    cockpit.step(events=(away,))
+    assert not cockpit.mode.is_streaming
+    assert cockpit.controller.vehicle.heartbeat is not None
+    assert cockpit.controller.vehicle.heartbeat.mode is FlightMode.EXTERNAL
+
+
+def test_a_landing_that_was_over_within_one_step_was_one() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.step(events=(LandedReading(cockpit.now_s, Landed.ON_GROUND),))
+    assert cockpit.mode is Mode.TRACKING
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mode", STREAMING)
+def test_an_autopilot_unheard_for_three_seconds_is_sent_nothing(mode: Mode, autopilot: Autopilot) -> None:
+    cockpit = brought_to(mode, autopilot)
+    cockpit.muted = {"heartbeat"}
+    assert all(output.mode.is_streaming for output in cockpit.run(3.0))
+    outputs = cockpit.run(5.0)
+    assert {output.setpoint for output in outputs[1:]} == {None}
+    assert f"Follow ended: {Reason.NO_HEARTBEAT.value}" in cockpit.texts
+
+
+@pytest.mark.parametrize("mode", OBEYED)
+@pytest.mark.parametrize("channel", [0, 1, 3])
+@pytest.mark.parametrize("pwm_us", [1379, 1621])
+def test_a_stick_held_for_200_ms_asks_for_the_pilots_mode(mode: Mode, channel: int, pwm_us: int) -> None:
+    cockpit = brought_to(mode)
+    pwm = [1500] * 4
+    pwm[channel] = pwm_us
+    cockpit.pwm_us = (pwm[0], pwm[1], pwm[2], pwm[3])
+    assert all(output.mode is not Mode.LEAVING for output in cockpit.run(0.25))  # the first step begins the time
+    output = cockpit.step()
+    assert (output.mode, output.request) == (Mode.LEAVING, FlightMode.PILOT)
+    assert sent(output) == ZERO
+    assert f"Follow ended: {Reason.STICKS.value}" in cockpit.texts
+
+
+@pytest.mark.parametrize("mode", OBEYED)
+def test_a_stick_that_only_twitches_or_trembles_ends_nothing(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    for _ in range(5):
+        cockpit.pwm_us = (1700, 1500, 1500, 1500)
+        cockpit.run(0.1875)
+        cockpit.pwm_us = (1500, 1500, 1500, 1500)
+        cockpit.run(0.125)
+    cockpit.pwm_us = (1619, 1381, 1000, 1500)  # inside the guard; and throttle rests anywhere
+    cockpit.run(0.5)
+    assert cockpit.mode is not Mode.LEAVING
+    assert cockpit.mode.is_streaming
+
+
+def test_a_stick_while_leaving_asks_for_the_pilots_mode_instead() -> None:
+    cockpit = brought_to(Mode.LEAVING)
+    assert cockpit.outputs[-1].request is FlightMode.HOLD
+    cockpit.pwm_us = (1500, 1800, 1500, 1500)
+    requests = [output.request for output in cockpit.run(2.5) if output.request]
+    assert requests == [FlightMode.PILOT] * 2
+
+
+@pytest.mark.parametrize("pwm_us", [(), (0, 0, 0, 0)])
+def test_a_lost_transmitter_moves_no_stick(pwm_us: tuple[int, ...]) -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.pwm_us = pwm_us
+    cockpit.run(1.0)
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+@pytest.mark.parametrize("mode", OBEYED)
+def test_a_failsafe_of_a_vehicle_that_still_obeys_asks_for_hold(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    cockpit.heartbeat = replace(cockpit.heartbeat, has_failsafe=True)
+    output = cockpit.step()
+    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, FlightMode.HOLD, ZERO)
+    assert f"Follow ended: {Reason.FAILSAFE.value}" in cockpit.texts
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mode", OBEYED)
+@pytest.mark.parametrize("gap_s", [0.55, 1.5, 60.0])
+def test_a_loop_that_stalled_does_not_go_on_by_itself(gap_s: float, mode: Mode, autopilot: Autopilot) -> None:
+    cockpit = brought_to(mode, autopilot)
+    cockpit.is_seen = True
+    output = cockpit.step(dt_s=gap_s)
+    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, FlightMode.HOLD, ZERO)
+    assert f"Follow ended: {Reason.STALLED.value}" in cockpit.texts
+
+
+def test_a_loop_that_stumbles_goes_on() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    assert cockpit.step(dt_s=0.45).mode.is_engaged
+    cockpit.run(0.125)
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+def test_a_loop_that_stalled_while_the_mode_was_left_asks_for_nothing() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.fly(FlightMode.PILOT)
+    output = cockpit.step(dt_s=3.0)
+    assert (output.setpoint, output.request) == (None, None)
+
+
+def test_px4_unheard_for_a_second_is_sent_nothing_as_it_may_not_hear_us_either() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.muted = {"heartbeat", "attitude", "local", "height", "landed", "rc"}
+    outputs = cockpit.run(1.5)
+    assert {speed_mps(output) for output in outputs[5:]} == {0.0}  # no attitude for 0.3 s
+    assert {output.setpoint for output in outputs[17:]} == {None}
+    assert f"Follow ended: {Reason.LINK_SILENT.value}" in cockpit.texts
+    cockpit.muted = set()
+    cockpit.fly(FlightMode.RTL)
+    cockpit.run(0.5)
+    cockpit.step(Engage())  # a stream now would bring OFFBOARD back by itself
+    assert cockpit.outputs[-1].request is FlightMode.HOLD
+    assert cockpit.outputs[-1].setpoint is None
+
+
+def test_px4_that_is_heard_again_at_once_after_the_silence_may_have_left_by_failsafe_all_the_same() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.muted = {"heartbeat", "attitude", "local", "height", "landed", "rc"}
+    cockpit.run(1.0625)
+    assert cockpit.mode is Mode.TRACKING
+    cockpit.muted = set()
+    cockpit.fly(FlightMode.RTL)
+    cockpit.run(0.25)
+    output = cockpit.step(Engage())
+    assert (output.request, output.setpoint) == (FlightMode.HOLD, None)
+
+
+def test_arducopter_unheard_for_a_second_is_told_to_stand_and_followed_on() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.muted = {"heartbeat", "attitude", "local", "height", "landed", "rc"}
+    outputs = cockpit.run(1.5)
+    assert {sent(output) for output in outputs[7:]} == {ZERO}
+    cockpit.muted = set()
+    cockpit.run(1.0)
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+# ------------------------------------------------------------------------------------- our own will
+@pytest.mark.parametrize("mode", OBEYED)
+def test_disengage_stands_and_asks_for_hold_until_the_autopilot_has_left(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    output = cockpit.step(Disengage())
+    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, FlightMode.HOLD, ZERO)
+    outputs = cockpit.run(3.0)
+    assert {sent(each) for each in outputs} == {ZERO}
+    assert [each.request for each in outputs if each.request] == [FlightMode.HOLD] * 3  # once a second
+    cockpit.fly(FlightMode.HOLD)
+    assert cockpit.step().setpoint is None
+    cockpit.is_seen = True
+    cockpit.run(0.1)
+    assert cockpit.mode is Mode.TRACKING
+
+
+@pytest.mark.parametrize("mode", OBEYED)
+def test_deselect_ends_it_likewise_and_leads_to_idle(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    output = cockpit.step(Deselect())
+    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, FlightMode.HOLD, ZERO)
+    assert output.selection.box is None
+    cockpit.fly(FlightMode.HOLD)
+    cockpit.run(0.1)
+    assert cockpit.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize("command", [Select(None), Deselect(), Disengage(), Engage()])
+def test_while_leaving_no_order_stops_the_leaving_or_changes_where_to(command: Select) -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.pwm_us = (1500, 1800, 1500, 1500)
+    cockpit.run(0.3)
+    cockpit.pwm_us = (1500, 1500, 1500, 1500)
+    assert cockpit.mode is Mode.LEAVING
+    cockpit.step(command)
+    outputs = cockpit.run(2.0)
+    assert cockpit.mode is Mode.LEAVING
+    assert {output.request for output in outputs if output.request} == {FlightMode.PILOT}
+    assert {sent(output) for output in outputs} == {ZERO}
+
+
+def test_shutting_down_asks_for_hold_or_what_was_asked_for_and_only_where_we_are_obeyed() -> None:
+    assert brought_to(Mode.FOLLOWING).controller.shut_down() is FlightMode.HOLD
+    assert Cockpit().track().controller.shut_down() is None
+    leaving = brought_to(Mode.LEAVING)
+    leaving.pwm_us = (1500, 1800, 1500, 1500)
+    leaving.run(0.3)
+    assert leaving.controller.shut_down() is FlightMode.PILOT
+    leaving.step(Engage())
+    assert leaving.outputs[-1].setpoint is None
+
+
+def test_another_autopilots_heartbeat_type_never_reaches_a_mode() -> None:
+    """A heartbeat that says failsafe while nothing is engaged asks for nothing."""
+    cockpit = Cockpit().track()
+    beat = replace(cockpit.heartbeat, has_failsafe=True)
+    assert isinstance(beat, Heartbeat)
+    cockpit.heartbeat = beat
+    output = cockpit.step()
+    assert (output.request, output.setpoint) == (None, None)
