@@ -9,14 +9,13 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help demo test lint bench clean
 help:
-	@echo "make demo   track the built-in flight; video, plot and boxes in $(OUT)/"
+	@echo "make demo   fly the closed loop in the simulator; video, plots, verdict and a page in $(OUT)/demo/"
 	@echo "make test   all tests"
 	@echo "make lint   ruff, mypy, import-linter"
 	@echo "make bench  milliseconds by stage, beside OpenCV's CSRT"
 
 demo: $(VENV)/installed
-	@mkdir -p $(OUT)
-	$(VENV)/bin/mscf demo --compare bacf --save $(OUT)/demo.mp4 --plot $(OUT)/demo.png --boxes $(OUT)/demo.txt
+	$(VENV)/bin/mscf-companion sim --out $(OUT)/demo
 
 test: $(VENV)/installed
 	$(VENV)/bin/pytest -q -n 2

@@ -1,0 +1,179 @@
+"""Command `mscf-companion sim`: flies scenarios and reports on them."""
+
+import argparse
+import functools
+import shlex
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+
+from companion.errors import UsageError
+from companion.link import check_device
+from mscf.arrays import Image
+from mscf.recording import VideoFile
+from sim.eyes import RenderedEyes
+from sim.film import Film
+from sim.loop import Watcher
+from sim.realtime import fly_external, fly_in_real_time
+from sim.report import FILM, PAGE, Kind, Run, folder_name, prepare_folder, write_index, write_run
+from sim.scenarios import AUTOPILOTS, DEMO, SCENARIOS, Scenario, Verdict, fly
+from sim.server import KINDS
+from sim.stages import stage
+from sim.trace import Moment, Trace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EXIT_FAILED = 1
+STEPS_PER_S = 20  # moments a second, and frames of the video
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """One flight to be made; picklable."""
+
+    scenario: str
+    autopilot: str
+    folder: Path
+    command: str
+    seed: int
+    link: str | None  # of a run in real time; None: virtual time
+    external: str | None
+    arms: bool
+
+
+def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
+    """Add `sim` to the commands of `mscf-companion`."""
+    sim = commands.add_parser(
+        "sim",
+        help="fly in the simulator: world, camera and autopilot without hardware",
+        description="Fly scenarios in a closed loop; write a video, plots, a verdict and a page of each. "
+        "Exit status 1 where a check fails.",
+    )
+    sim.add_argument("scenario", nargs="*", metavar="SCENARIO", help=f"see --list, or all (default: {DEMO})")
+    sim.add_argument("--list", action="store_true", help="list the scenarios and their checks")
+    sim.add_argument("--autopilot", choices=AUTOPILOTS, action="append", help="may be repeated (default: ardupilot)")
+    sim.add_argument("--out", type=Path, default=Path("out/sim"), metavar="DIR", help="default: %(default)s")
+    sim.add_argument("--seed", type=int, default=0, help="of the scenery, the gusts and the noise")
+    sim.add_argument("--jobs", type=int, default=1, metavar="N", help="flights at a time (default: %(default)s)")
+    sim.add_argument(
+        "--realtime", action="store_true", help="in real time, with `mscf-companion run` as a process of its own"
+    )
+    sim.add_argument("--link", choices=KINDS, default="udp", help="of --realtime (default: %(default)s)")
+    sim.add_argument("--external", metavar="LINK", help="a real autopilot's SITL in the fake one's place")
+    sim.add_argument("--arm", action="store_true", help="with --external: arm, take off and land by command")
+    sim.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.list:
+        for scenario in SCENARIOS.values():
+            print(f"{scenario.name:15} {scenario.description}")
+        return 0
+    names = arguments.scenario or [DEMO]
+    names = list(SCENARIOS) if names == ["all"] else list(dict.fromkeys(names))
+    for name in names:
+        if name not in SCENARIOS:
+            raise UsageError(f"unknown scenario {name!r}: give one of {', '.join(SCENARIOS)}")
+    if arguments.arm and not arguments.external:
+        raise UsageError("--arm needs --external LINK: the fake autopilots start in the air")
+    if arguments.jobs < 1 or (arguments.jobs > 1 and (arguments.realtime or arguments.external)):
+        raise UsageError(f"--jobs {arguments.jobs} must be 1 in real time, and at least 1 otherwise")
+    if arguments.external:
+        check_device(arguments.external)
+    autopilots = list(dict.fromkeys(arguments.autopilot or ["ardupilot"]))
+    kind: Kind = "external" if arguments.external else "real time" if arguments.realtime else "virtual time"
+    tasks = [
+        _Task(
+            name,
+            autopilot,
+            arguments.out / folder_name(name, autopilot, kind),
+            shlex.join(["mscf-companion", *sys.argv[1:]]),
+            arguments.seed,
+            arguments.link if arguments.realtime else None,
+            arguments.external,
+            arguments.arm,
+        )
+        for name in names
+        for autopilot in autopilots
+    ]
+    runs = _flown(tasks, arguments.jobs)
+    if len(runs) > 1:
+        write_index(runs, arguments.out)
+        print(f"all       {arguments.out / PAGE}")
+    return 0 if all(run.is_passed for run in runs) else EXIT_FAILED
+
+
+def _flown(tasks: list[_Task], jobs: int) -> list[Run]:
+    """Fly all, one after the other or some at a time, and say what came of each."""
+    runs = []
+    with ExitStack() as stack:
+        if jobs > 1 and len(tasks) > 1:
+            pool = stack.enter_context(ProcessPoolExecutor(jobs, mp_context=get_context("spawn")))
+            flown: Any = pool.map(_fly, tasks)
+        else:
+            flown = map(_fly, tasks)
+        for task, run in zip(tasks, flown, strict=True):
+            runs.append(run)
+            _print(task, run)
+    return runs
+
+
+def _print(task: _Task, run: Run) -> None:
+    print(f"{'PASSED' if run.is_passed else 'FAILED'}    {run.scenario}, {run.autopilot}, {run.kind}")
+    for verdict in run.verdicts:
+        if not verdict.is_passed:
+            print(f"          {verdict.name}: {verdict.measured}, wanted {verdict.wanted}")
+    print(f"video     {task.folder / FILM}\npage      {task.folder / PAGE}", flush=True)
+
+
+def _fly(task: _Task) -> Run:
+    """Fly one task and write its report."""
+    cv2.setNumThreads(1)
+    scenario = SCENARIOS[task.scenario]
+    place = stage(scenario.stage, 7 + task.seed)
+    prepare_folder(task.folder)
+    film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind)
+    with VideoFile(task.folder / FILM, STEPS_PER_S) as video:
+
+        def watch(moment: Moment, image: Image | None) -> None:
+            video.write(film.frame(moment, image))
+
+        trace, verdicts, kind, facts = _made(task, scenario, watch)
+    run = Run(
+        scenario=scenario.name,
+        description=scenario.description,
+        autopilot=task.autopilot,
+        kind=kind,
+        command=task.command,
+        seed=task.seed,
+        trace=trace,
+        verdicts=verdicts,
+        acts=scenario.acts,
+        facts=facts,
+    )
+    write_run(run, task.folder)
+    return run
+
+
+def _made(task: _Task, scenario: Scenario, watch: Watcher) -> tuple[Trace, tuple[Verdict, ...], Kind, dict[str, Any]]:
+    """Trace, verdicts, kind and further facts of a flight."""
+    if task.external is not None:
+        say: Callable[[str], None] = functools.partial(print, "external ", flush=True)
+        trace, verdicts, facts = fly_external(
+            scenario, task.external, arms=task.arms, seed=task.seed, watcher=watch, say=say, folder=task.folder
+        )
+        return trace, verdicts, "external", facts
+    if task.link is not None:
+        trace, verdicts, facts = fly_in_real_time(
+            scenario, task.autopilot, task.link, seed=task.seed, watcher=watch, folder=task.folder
+        )
+        return trace, verdicts, "real time", facts
+    trace, verdicts = fly(scenario, task.autopilot, RenderedEyes, seed=task.seed, watcher=watch)
+    return trace, verdicts, "virtual time", {}

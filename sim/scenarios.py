@@ -1,0 +1,529 @@
+"""The scenarios: who flies what, what happens to them, and what has to come of it.
+
+A scenario is a stage, a configuration, a script of the operator's, the pilot's and fate's acts, and checks. Every
+scenario flies with both autopilots. The checks look at the truth, not at what the application believes.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from companion.config import Config, parse
+from companion.modes import Mode
+from companion.types import Disengage, Engage, OperatorCommand, Select
+from sim.ardupilot import ArduCopter
+from sim.autopilot import FakeAutopilot, Personality
+from sim.camera import Truth
+from sim.external import ExternalAutopilot
+from sim.eyes import Eyes
+from sim.loop import Faults, Loop, Watcher
+from sim.px4 import Px4
+from sim.stages import Stage, stage
+from sim.trace import Trace
+from sim.wind import CALM, Wind
+
+AUTOPILOTS: dict[str, type[Personality]] = {"ardupilot": ArduCopter, "px4": Px4}
+EXTERNAL_MODE: dict[type[Personality], str] = {ArduCopter: "GUIDED", Px4: "OFFBOARD"}
+PILOT_MODE: dict[type[Personality], str] = {ArduCopter: "LOITER", Px4: "POSCTL"}
+SELECT_S = 1.0
+ENGAGE_S = 2.0
+AGAIN_S = 1.0  # an operator who was refused tries again
+SELECT_OFFBOARD_S = 1.3  # a pilot's reaction to "select OFFBOARD"
+WAIT_S = 6.0  # until the target sets off: the longer of the two ways to engage, PX4's, takes that long
+STEADY_S = 16.0  # from here on a follower has settled
+
+
+class Desk(Protocol):
+    """What an operator, a pilot or fate has in hand; the loop in virtual time is one, a run in real time another."""
+
+    commands: list[OperatorCommand]  # orders for the application
+    faults: Faults
+
+    @property
+    def autopilot(self) -> FakeAutopilot | ExternalAutopilot: ...
+    @property
+    def personality(self) -> type[Personality]: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def mode(self) -> str: ...  # of the application
+    @property
+    def truth(self) -> Truth: ...  # of a frame taken now
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """Something that happens at a time."""
+
+    time_s: float
+    name: str
+    do: Callable[[Desk], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What came of a check: a figure and its limits, infinite where there is none."""
+
+    name: str
+    is_passed: bool
+    value: float
+    least: float
+    most: float
+    unit: str
+
+    @property
+    def measured(self) -> str:
+        """The figure for the eye; never rounded to the other side of a limit."""
+        for digits in range(3, 12):
+            text = f"{self.value:.{digits}g}"
+            if (self.least <= float(text) <= self.most) is self.is_passed:
+                break
+        return f"{text} {self.unit}".strip()
+
+    @property
+    def wanted(self) -> str:
+        """The limits for the eye."""
+        ends = [f"at least {self.least:g}"] * math.isfinite(self.least)
+        ends += [f"at most {self.most:g}"] * math.isfinite(self.most)
+        return f"{' and '.join(ends)} {self.unit}".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A claim about a run: a figure of the trace, and its limits, in `unit`."""
+
+    name: str
+    unit: str
+    figure: Callable[[Trace], float]
+    least: float = -math.inf
+    most: float = math.inf
+
+    def judge(self, trace: Trace) -> Verdict:
+        """Whether the figure lies within the limits; a figure that is not a number does not."""
+        value = self.figure(trace)
+        is_passed = self.least <= value <= self.most
+        return Verdict(self.name, is_passed, value, self.least, self.most, self.unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A flight to be flown and judged."""
+
+    name: str
+    description: str
+    stage: str
+    duration_s: float
+    checks: tuple[Check, ...]
+    follow: str = "follow"
+    settings: str = ""  # further TOML
+    acts: tuple[Act, ...] = ()
+    wind: Wind = CALM
+    gain: Callable[[float], float] = lambda _: 1.0
+    confirms: bool = False  # the operator confirms a target that was found again late
+    engages: bool = True
+
+    def config(self, place: Stage) -> Config:
+        """Configuration of the application in this scenario."""
+        camera = place.camera
+        text = (
+            f"[camera]\nwidth_px = {camera.size_hw[1]}\nheight_px = {camera.size_hw[0]}\n"
+            f"focal_px = {camera.focal_px}\nmount_pitch_deg = {math.degrees(camera.mount_pitch_rad):.3f}\n"
+            f'latency_ms = 20\n[follow]\nmode = "{self.follow}"\n'
+            f"approach_gain_per_s = 0.5\nretreat_gain_per_s = 0.7\n{self.settings}"
+            f'[control]\nsocket = ""\n'
+        )
+        return parse(text)
+
+
+class Operator:
+    """Selects the target, engages, selects OFFBOARD where PX4 waits for it; reacts to what the application says."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._has_selected = False
+        self._asked_s = -math.inf
+        self._ready_s: float | None = None
+        self._has_engaged = False
+        self._acts = list(scenario.acts)
+
+    def act(self, desk: Desk) -> None:
+        """Do what is due."""
+        while self._acts and desk.time_s >= self._acts[0].time_s:
+            self._acts.pop(0).do(desk)
+        if not self._has_selected and desk.time_s >= SELECT_S:
+            box = desk.truth.box
+            if box is not None:
+                self._has_selected = True
+                desk.commands.append(Select(box))
+        if self._scenario.engages:
+            self._engage(desk)
+
+    def _engage(self, desk: Desk) -> None:
+        mode = Mode(desk.mode)
+        if mode.is_engaged and mode is not Mode.AWAITING:
+            self._has_engaged = True
+        wants = mode is Mode.AWAITING and self._scenario.confirms
+        if not self._has_engaged:
+            wants = wants or (mode is Mode.TRACKING and desk.time_s >= ENGAGE_S)
+            external = EXTERNAL_MODE[desk.personality]
+            if mode is Mode.READY:
+                self._ready_s = desk.time_s if self._ready_s is None else self._ready_s
+                if desk.autopilot.mode_name == external:
+                    wants = True
+                elif desk.time_s - self._ready_s >= SELECT_OFFBOARD_S:
+                    desk.autopilot.select_mode(external)
+        if wants and desk.time_s - self._asked_s >= AGAIN_S:
+            self._asked_s = desk.time_s
+            desk.commands.append(Engage())
+
+
+# ------------------------------------------------------------------------------------------------ figures
+def _bearing_p95_deg(trace: Trace) -> float:
+    errors = sorted(abs(m.bearing_error_rad) for m in trace.between(STEADY_S) if m.mode == "following")
+    return math.degrees(errors[int(0.95 * (len(errors) - 1))]) if errors else math.nan
+
+
+def _engaged_range_m(trace: Trace) -> float:
+    first_s = trace.first("following")
+    return trace.between(first_s)[0].true_range_m if first_s is not None else math.nan
+
+
+def _worst_range_ratio(trace: Trace) -> float:
+    """Largest deviation of the range from that at engagement, as a ratio of at least 1."""
+    wanted_m = _engaged_range_m(trace)
+    ratios = [m.true_range_m / wanted_m for m in trace.between(STEADY_S) if m.mode == "following"]
+    return max((max(ratio, 1 / ratio) for ratio in ratios), default=math.nan)
+
+
+def _following_share(trace: Trace) -> float:
+    return trace.share("following", STEADY_S)
+
+
+def _wrong_share(trace: Trace) -> float:
+    """Share of the following moments in which the box is not on the target."""
+    following = [m for m in trace.moments if m.mode == "following" and m.box is not None]
+    return sum((m.iou or 0.0) < 0.1 for m in following) / max(len(following), 1)
+
+
+def _top_setpoint_mps(trace: Trace) -> float:
+    return max((math.hypot(*m.setpoint_ned_mps[:2]) for m in trace.moments if m.setpoint_ned_mps), default=0.0)
+
+
+def _least_range_m(trace: Trace) -> float:
+    return min(m.true_range_m for m in trace.moments)
+
+
+def _height_span_m(trace: Trace) -> float:
+    heights = [m.height_m for m in trace.moments]
+    return max(heights) - min(heights)
+
+
+def _setpoints_outside(trace: Trace) -> float:
+    """Setpoints that are not zero although the target may not move the vehicle."""
+    moving = {"following", "coasting", "searching"}
+    return sum(
+        m.mode not in moving and m.setpoint_ned_mps is not None and (any(m.setpoint_ned_mps) or bool(m.yaw_rate_radps))
+        for m in trace.moments
+    )
+
+
+def _seconds_in(mode: str) -> Callable[[Trace], float]:
+    return lambda trace: trace.share(mode, 0.0) * (trace.moments[-1].time_s + 0.05)
+
+
+def _ends_in(*modes: str) -> Callable[[Trace], float]:
+    return lambda trace: float(trace.moments[-1].mode in modes)
+
+
+def _ends_in_flight_mode(*modes: str) -> Callable[[Trace], float]:
+    return lambda trace: float(trace.moments[-1].flight_mode in modes)
+
+
+def _streaming_after(time_s: float) -> Callable[[Trace], float]:
+    return lambda trace: sum(m.setpoint_ned_mps is not None for m in trace.between(time_s))
+
+
+def _speed_after(time_s: float) -> Callable[[Trace], float]:
+    return lambda trace: max(m.speed_mps for m in trace.between(time_s))
+
+
+def _said(text: str) -> Callable[[Trace], float]:
+    return lambda trace: float(any(text in line for line in trace.texts))
+
+
+def _off_centre_m(trace: Trace) -> float:
+    """95th percentile of the distance between the vehicle and the place above the target."""
+    off = sorted(m.true_range_m for m in trace.between(STEADY_S) if m.mode == "following")
+    return off[int(0.95 * (len(off) - 1))] if off else math.nan
+
+
+SAFE = (
+    Check("setpoints within the speed limit", "m/s", _top_setpoint_mps, most=10.0001),
+    Check("setpoints that move while the target must not", "", _setpoints_outside, most=0),
+)
+KEEPS = (
+    *SAFE,
+    Check("time following, once settled", "", _following_share, least=0.97),
+    Check("box off the target while following", "", _wrong_share, most=0.02),
+    Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=8),
+    Check("range over that at engagement, worst", "", _worst_range_ratio, most=1.5),
+    Check("height changes by", "m", _height_span_m, most=2),
+)
+HIDES = (
+    *SAFE,
+    Check("time following, once settled", "", _following_share, least=0.75),
+    Check("box off the target while following", "", _wrong_share, most=0.03),
+    Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10),
+    Check("follows at the end", "", _ends_in("following"), least=1),
+)
+_LIMITS = "[limits]\nspeed_mps = 10\nacceleration_mps2 = 2\nradius_m = 600\n"
+
+
+def _broken(**faults: bool) -> Callable[[Desk], None]:
+    def do(desk: Desk) -> None:
+        desk.faults = replace(desk.faults, **faults)
+
+    return do
+
+
+def _sticks(desk: Desk) -> None:
+    desk.autopilot.set_sticks(roll=0.5)
+
+
+def _pilot_mode(desk: Desk) -> None:
+    desk.autopilot.select_mode(PILOT_MODE[desk.personality])
+
+
+def _mode_back(desk: Desk) -> None:
+    desk.autopilot.select_mode(EXTERNAL_MODE[desk.personality])
+
+
+def _cloud(time_s: float) -> float:
+    """Brightness as clouds and a turn into the sun change it."""
+    return 1.0 + 0.25 * math.sin(0.35 * time_s) - 0.4 * math.exp(-(((time_s - 24.0) / 1.0) ** 4))
+
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario("straight", "a car drives along a road", "straight", 45, KEEPS, settings=_LIMITS),
+        Scenario("turning", "a car turns at a crossing and goes round", "turning", 70, KEEPS, settings=_LIMITS),
+        Scenario("stop_and_go", "a car brakes, stands and goes on", "stop_and_go", 60, KEEPS, settings=_LIMITS),
+        Scenario("pedestrian", "a person walks", "pedestrian", 45, KEEPS, settings=_LIMITS),
+        Scenario(
+            "gusts",
+            "a car in wind of 3 m/s with gusts",
+            "straight",
+            45,
+            KEEPS,
+            settings=_LIMITS,
+            wind=Wind((-2.0, 2.2), gust_mps=1.0, seed=3),
+        ),
+        Scenario("exposure", "clouds and the sun in the lens", "straight", 45, KEEPS, settings=_LIMITS, gain=_cloud),
+        Scenario(
+            "occlusion",
+            "a car passes twice under a viaduct",
+            "occluder",
+            60,
+            HIDES,
+            settings=_LIMITS,
+        ),
+        Scenario(
+            "long_occlusion",
+            "a car stops under a viaduct and comes out again; the operator confirms it",
+            "long_occlusion",
+            60,
+            (
+                *SAFE,
+                Check("time holding, searching or waiting", "s", _seconds_in("holding"), least=0.5),
+                Check("box off the target while following", "", _wrong_share, most=0.03),
+                Check("follows at the end", "", _ends_in("following"), least=1),
+            ),
+            settings=_LIMITS,
+            confirms=True,
+        ),
+        Scenario(
+            "distractors",
+            "look-alikes meet, cross and overtake",
+            "distractors",
+            75,
+            (
+                *SAFE,
+                Check("box off the target while following", "", _wrong_share, most=0.05),
+                Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10),
+            ),
+            settings=_LIMITS,
+        ),
+        Scenario(
+            "overhead",
+            "a camera that looks down keeps above a slow car",
+            "overhead",
+            45,
+            (
+                *SAFE,
+                Check("time following, once settled", "", _following_share, least=0.97),
+                Check("off the place above the target, 95 %", "m", _off_centre_m, most=4),
+                Check("height changes by", "m", _height_span_m, most=2),
+            ),
+            follow="overhead",
+            settings=_LIMITS,
+        ),
+        Scenario(
+            "spotlight",
+            "the drone stays and keeps its nose on a car that drives past",
+            "passing",
+            26,
+            (
+                *SAFE,
+                Check("time following, once settled", "", _following_share, least=0.9),
+                Check("horizontal setpoint", "m/s", _top_setpoint_mps, most=0),
+                Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=8),
+            ),
+            follow="spotlight",
+            settings=_LIMITS,
+        ),
+        Scenario(
+            "approach",
+            "a car turns round and comes towards the drone",
+            "approach",
+            50,
+            (*SAFE, Check("nearest the target came", "m", _least_range_m, least=8)),
+            settings=_LIMITS,
+        ),
+        Scenario(
+            "departure",
+            "a car drives off faster than the drone may follow: it gives up and holds",
+            "departure",
+            75,
+            (
+                *SAFE,
+                Check("says that the target is lost", "", _said("Follow ended"), least=1),
+                Check("engaged at the end", "", _ends_in("following", "holding", "coasting"), most=0),
+                Check("holds at the end", "", _ends_in_flight_mode("BRAKE", "AUTO.LOITER"), least=1),
+            ),
+            settings=_LIMITS.replace("speed_mps = 10", "speed_mps = 6"),
+        ),
+        Scenario(
+            "sticks",
+            "the pilot moves a stick in flight: the drone is handed over",
+            "straight",
+            35,
+            (
+                *SAFE,
+                Check("setpoints more than 3 s after the stick", "", _streaming_after(23.0), most=0),
+                Check("flown by the pilot at the end", "", _ends_in_flight_mode("LOITER", "POSCTL"), least=1),
+                Check("says why", "", _said("sticks moved"), least=1),
+            ),
+            settings=_LIMITS,
+            acts=(Act(20.0, "roll stick", _sticks),),
+        ),
+        Scenario(
+            "mode_switch",
+            "the pilot selects another flight mode and later ours again: nothing moves without a new engage",
+            "straight",
+            40,
+            (
+                *SAFE,
+                Check("setpoints 1.3 s after the mode was left", "", _streaming_after(21.3), most=0),
+                Check("says why", "", _said("flight mode left"), least=1),
+            ),
+            settings=_LIMITS,
+            acts=(Act(20.0, "pilot's mode", _pilot_mode), Act(28.0, "our mode again", _mode_back)),
+        ),
+        Scenario(
+            "camera_loss",
+            "the camera is unplugged for two seconds in flight",
+            "straight",
+            45,
+            (
+                *SAFE,
+                Check("time holding", "s", _seconds_in("holding"), least=0.5),
+                Check("follows at the end", "", _ends_in("following"), least=1),
+                Check("box off the target while following", "", _wrong_share, most=0.03),
+            ),
+            settings=_LIMITS,
+            acts=(
+                Act(20.0, "unplugged", _broken(is_camera_dead=True)),
+                Act(22.0, "back", _broken(is_camera_dead=False)),
+            ),
+        ),
+        Scenario(
+            "camera_frozen",
+            "the camera delivers one picture again and again for two seconds",
+            "straight",
+            45,
+            (*SAFE, Check("nearest the target came", "m", _least_range_m, least=8)),
+            settings=_LIMITS,
+            acts=(
+                Act(20.0, "frozen", _broken(is_camera_frozen=True)),
+                Act(22.0, "alive", _broken(is_camera_frozen=False)),
+            ),
+        ),
+        Scenario(
+            "link_loss",
+            "the link is cut for five seconds in flight: the application does not resume by itself",
+            "straight",
+            45,
+            (
+                *SAFE,
+                Check("speed after the autopilot's own time-out", "m/s", _speed_after(40.0), most=0.5),
+                Check("setpoints after the link came back", "", _streaming_after(25.0), most=0),
+            ),
+            settings=_LIMITS,
+            acts=(
+                Act(20.0, "cut", _broken(is_link_cut=True)),
+                Act(25.0, "back", _broken(is_link_cut=False)),
+            ),
+        ),
+        Scenario(
+            "disengage",
+            "the operator disengages in flight: the drone holds",
+            "straight",
+            35,
+            (
+                *SAFE,
+                Check("speed 8 s later", "m/s", _speed_after(28.0), most=0.7),
+                Check("setpoints 4 s later", "", _streaming_after(24.0), most=0),
+                Check("holds at the end", "", _ends_in_flight_mode("BRAKE", "AUTO.LOITER"), least=1),
+            ),
+            settings=_LIMITS,
+            acts=(Act(20.0, "disengage", lambda desk: desk.commands.append(Disengage())),),
+        ),
+    )
+}
+DEMO = "occlusion"
+
+
+def fly(
+    scenario: Scenario,
+    autopilot: str,
+    eyes_of: Callable[[Stage], Eyes],
+    *,
+    seed: int = 0,
+    watcher: Watcher | None = None,
+) -> tuple[Trace, tuple[Verdict, ...]]:
+    """Fly a scenario in virtual time, and judge it.
+
+    Parameters
+    ----------
+    autopilot : a key of `AUTOPILOTS`.
+    eyes_of : makes what the application sees with, for a stage.
+    watcher : is shown every moment with the newest frame.
+    """
+    place = stage(scenario.stage, 7 + seed)
+    loop = Loop(
+        place,
+        AUTOPILOTS[autopilot],
+        scenario.config(place),
+        eyes_of(place),
+        seed=seed,
+        wind=scenario.wind,
+        wait_s=WAIT_S,
+        mode="GUIDED" if autopilot == "ardupilot" else None,
+        gain=scenario.gain,
+        watcher=watcher,
+    )
+    loop.run(scenario.duration_s, Operator(scenario).act)
+    trace = Trace(tuple(loop.moments))
+    return trace, tuple(check.judge(trace) for check in scenario.checks)
