@@ -154,7 +154,7 @@ class App:
         self._count(now_s)
         self._log(step)
         if self._control is not None and self._control.is_asked:
-            self._control.answer(self._status(step, sample, now_s))
+            self._control.answer(self._status(step, sample, now_s), self._timing.summary)
         self._notify(step, sample, now_s)
 
     def _count(self, now_s: float) -> None:
@@ -212,7 +212,6 @@ class App:
             "setpoint_ned_mps": step.control.setpoint.velocity_ned_mps if step.control.setpoint else None,
             "yaw_rate_radps": step.control.setpoint.yaw_rate_radps if step.control.setpoint else None,
             "link_dropped_bytes": self._link.dropped_bytes,
-            "timing": self._timing.summary(),
         }
 
     def _notify(self, step: Step, sample: TrackSample | None, now_s: float) -> None:

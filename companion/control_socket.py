@@ -1,12 +1,14 @@
 """The local control socket: an operator's orders and questions, a JSON object a line each way.
 
 Requests: {"do": "status"}, {"do": "select", "box": [x, y, w, h]} (without a box: the middle), {"do": "deselect"},
-{"do": "engage"}, {"do": "disengage"}. Every answer is the status after the step that took the order, with what
-the operator was told in it ("texts"), or {"error": "..."}. Nothing here blocks, and no client can make it raise.
+{"do": "engage"}, {"do": "disengage"}, {"do": "timing"} (the status with latency and punctuality). Every answer is
+the status after the step that took the order, with what the operator was told in it ("texts"), or {"error": "..."}.
+Nothing here blocks, and no client can make it raise.
 """
 
 import json
 import socket
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ MAX_PX = 1e6  # of a box; JSON carries numbers that no float holds
 MODE = 0o660
 
 _ORDERS: dict[str, OperatorCommand] = {"deselect": Deselect(), "engage": Engage(), "disengage": Disengage()}
-ORDER_NAMES = ("status", "select", *_ORDERS)
+ORDER_NAMES = ("status", "timing", "select", *_ORDERS)
 
 
 def command_of(request: object) -> OperatorCommand | None:
@@ -33,7 +35,7 @@ def command_of(request: object) -> OperatorCommand | None:
         If it is no request; the text says what one looks like.
     """
     order = request.get("do") if isinstance(request, dict) else None
-    if order == "status":
+    if order in ("status", "timing"):
         return None
     if order == "select" and isinstance(request, dict):
         box = request.get("box")
@@ -59,6 +61,7 @@ class _Client:
     connection: socket.socket
     received: bytes = b""
     is_asking: bool = False  # an answer is due after the next step
+    wants_timing: bool = False  # in it
 
 
 class ControlSocket:
@@ -92,20 +95,21 @@ class ControlSocket:
         for client in list(self._clients):
             for line in self._lines(client):
                 try:
-                    command = command_of(json.loads(line))
+                    request = json.loads(line)
+                    command = command_of(request)
                 except (ValueError, RecursionError) as error:  # JSON's and ours
                     self._send(client, {"error": str(error)})
                     continue
-                client.is_asking = True
+                client.is_asking, client.wants_timing = True, request["do"] == "timing"
                 if command is not None:
                     commands.append(command)
         return tuple(commands)
 
-    def answer(self, status: dict[str, Any]) -> None:
-        """Answer all who asked since the last step."""
+    def answer(self, status: dict[str, Any], timing: Callable[[], dict[str, float]]) -> None:
+        """Answer all who asked since the last step; `timing` is called for who wants it: it takes a while."""
         for client in [client for client in self._clients if client.is_asking]:
             client.is_asking = False
-            self._send(client, status)
+            self._send(client, {**status, "timing": timing()} if client.wants_timing else status)
 
     @property
     def is_asked(self) -> bool:

@@ -16,7 +16,7 @@ from companion.config import Config
 from companion.engagement import Reason, refusals
 from companion.guidance import Aim, Guided, Moving, follow_target, overhead, spotlight, turn
 from companion.modes import TRANSITIONS, Event, Mode, after
-from companion.safety import Place, SafeSetpoint, limit, stop
+from companion.safety import Place, SafeSetpoint, held_back_by, limit, stop
 from companion.target import (
     RangeReference,
     TargetEstimate,
@@ -153,7 +153,7 @@ class Controller:
             self._obey(command, now_s)
         self._ladder(now_s)
         wish, notes = self._guide(now_s)
-        setpoint = self._limited(wish, now_s)
+        setpoint, edges = self._limited(wish, now_s)
         self._ask(now_s)
         state = self._state
         return ControlOutput(
@@ -162,7 +162,7 @@ class Controller:
             self._request,
             state.selection,
             self._expected(now_s),
-            notes,
+            (*notes, *edges),
             tuple(self._texts),
             state.target,
         )
@@ -546,25 +546,29 @@ class Controller:
         rate_radps = math.radians(loss.search_yaw_rate_dps)
         if target is None or (now_s - target.seen.time_s - loss.search_after_s) * rate_radps > math.tau:
             return 0.0
+        if self._config.follow.mode == "overhead":  # a camera that looks down sees the same ground all the way round
+            return 0.0
         aside_rad = wrapped(target.seen.azimuth_rad - math.radians(self._config.camera.mount_yaw_deg))
         return math.copysign(rate_radps, aside_rad)
 
-    def _limited(self, wish: Setpoint, now_s: float) -> SafeSetpoint | None:
-        """The wish as it may be sent in this mode."""
+    def _limited(self, wish: Setpoint, now_s: float) -> tuple[SafeSetpoint | None, tuple[str, ...]]:
+        """The wish as it may be sent in this mode, and which edges of the envelope hold it back."""
         state, vehicle = self._state, self._state.vehicle
         if not state.mode.is_streaming:
             self._change(sent=None)
-            return None
+            return None, ()
         is_moving = state.mode in {Mode.FOLLOWING, Mode.COASTING, Mode.SEARCHING}
+        edges: tuple[str, ...] = ()
         local, start = vehicle.fresh_local(now_s), state.engaged_at_ne_m
         if not is_moving or vehicle.fresh_attitude(now_s) is None or local is None or start is None:
             safe = stop()
         else:
             place = Place(vehicle.height_m(now_s), (local.pos_ned_m[0] - start[0], local.pos_ned_m[1] - start[1]))
             dt_s = now_s - state.sent_s if state.sent is not None else 1 / self._config.loop.rate_hz
+            edges = held_back_by(wish, place, self._config.limits)
             safe = limit(wish, state.sent, place, self._config.limits, dt_s)
         self._change(sent=safe, sent_s=now_s)
-        return safe
+        return safe, edges
 
     def _ask(self, now_s: float) -> None:
         """While leaving, ask for another flight mode once a second."""

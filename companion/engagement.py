@@ -2,7 +2,7 @@
 
 from enum import Enum
 
-from companion.config import Config
+from companion.config import MIN_RANGE_M, Config
 from companion.modes import Mode
 from companion.target import TargetEstimate
 from companion.types import FlightMode, Selection, TrackSample
@@ -32,6 +32,8 @@ class Reason(Enum):
     TOO_LOW = "below limits.floor_m"
     TOO_HIGH = "above limits.ceiling_m"
     RANGE_UNKNOWN = "no range to the target"
+    RANGE_CONFLICT = "range sources disagree"
+    TOO_NEAR = "target nearer than 3 m"
     LEAVING = "still leaving"
     MODE_LEFT = "flight mode left"
     DISARMED = "disarmed"
@@ -70,7 +72,8 @@ def refusals(
     is_seen = mode in {Mode.TRACKING, Mode.READY, Mode.AWAITING, Mode.FOLLOWING}
     confidence = sample.confidence if sample is not None else 0.0
     says_it_flies = vehicle.landed is not None and now_s - vehicle.landed.time_s <= MAX_LANDED_AGE_S
-    is_above = config.follow.mode == "overhead"
+    is_above, is_behind = config.follow.mode == "overhead", config.follow.mode == "follow"
+    fix = target.fix if target is not None else None
     has_target, is_known = selection.box is not None, heartbeat is not None
     checks = (
         (not has_target, Reason.NO_TARGET),
@@ -90,7 +93,10 @@ def refusals(
         (is_stick_moved, Reason.STICKS),
         (height_m is not None and height_m < limits.floor_m, Reason.TOO_LOW),
         (height_m is not None and height_m > limits.ceiling_m, Reason.TOO_HIGH),
-        (is_above and target is not None and target.fix is None, Reason.RANGE_UNKNOWN),
+        (is_above and target is not None and fix is None, Reason.RANGE_UNKNOWN),
+        # what engagement takes for the range to keep
+        (fix is not None and is_behind and fix.is_conflicting, Reason.RANGE_CONFLICT),
+        (fix is not None and is_behind and fix.range_m < MIN_RANGE_M, Reason.TOO_NEAR),
         (mode is Mode.LEAVING, Reason.LEAVING),
     )
     return tuple(reason for is_against, reason in checks if is_against)

@@ -7,6 +7,7 @@ from companion.config import LimitsConfig
 from companion.types import Setpoint, Vector
 
 _MINT = object()
+NOTED_MPS = 0.1  # of a wish that is cut off; less is not worth a word
 MAX_STEP_S = 0.2  # a loop that stalled longer must not slew by as much more
 
 
@@ -82,6 +83,22 @@ def limit(wish: Setpoint, before: SafeSetpoint | None, place: Place, limits: Lim
     elif place.height_m >= limits.ceiling_m:
         down = max(down, 0.0)
     return SafeSetpoint((north, east, down), yaw, _MINT)
+
+
+def held_back_by(wish: Setpoint, place: Place, limits: LimitsConfig) -> tuple[str, ...]:
+    """Settings whose edge of the envelope a finite wish runs into, for the operator."""
+    down = wish.velocity_ned_mps[2]
+    flat = _clamped(wish.velocity_ned_mps[:2], limits.speed_mps)
+    inside = _inside_radius(flat, place.from_engagement_ne_m, limits)
+    checks = (
+        (math.dist(flat, inside) > NOTED_MPS, "at limits.radius_m"),
+        (place.height_m is not None and place.height_m <= limits.floor_m and down > NOTED_MPS, "at limits.floor_m"),
+        (
+            place.height_m is not None and place.height_m >= limits.ceiling_m and down < -NOTED_MPS,
+            "at limits.ceiling_m",
+        ),
+    )
+    return tuple(name for is_met, name in checks if is_met)
 
 
 def _clamped(vector: tuple[float, float], longest: float) -> tuple[float, float]:

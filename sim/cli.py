@@ -6,7 +6,7 @@ import shlex
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ import cv2
 
 from companion.errors import UsageError
 from companion.link import check_device
-from mscf.arrays import Image
 from mscf.recording import VideoFile
 from sim.eyes import RenderedEyes
 from sim.film import Film
@@ -25,13 +24,16 @@ from sim.report import FILM, PAGE, Kind, Run, folder_name, prepare_folder, write
 from sim.scenarios import AUTOPILOTS, DEMO, SCENARIOS, Scenario, Verdict, fly
 from sim.server import KINDS
 from sim.stages import stage
-from sim.trace import Moment, Trace
+from sim.trace import Trace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 EXIT_FAILED = 1
 STEPS_PER_S = 20  # moments a second, and frames of the video
+
+
+_Flown = tuple[Trace, tuple[Verdict, ...], Kind, dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,8 @@ class _Task:
     link: str | None  # of a run in real time; None: virtual time
     external: str | None
     arms: bool
+    duration_s: float | None
+    has_video: bool
 
 
 def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -60,6 +64,8 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
     sim.add_argument("--list", action="store_true", help="list the scenarios and their checks")
     sim.add_argument("--autopilot", choices=AUTOPILOTS, action="append", help="may be repeated (default: ardupilot)")
     sim.add_argument("--out", type=Path, default=Path("out/sim"), metavar="DIR", help="default: %(default)s")
+    sim.add_argument("--duration", type=float, metavar="S", help="in place of the scenario's")
+    sim.add_argument("--no-video", action="store_true", help="for measuring: encoding takes its share of the machine")
     sim.add_argument("--seed", type=int, default=0, help="of the scenery, the gusts and the noise")
     sim.add_argument("--jobs", type=int, default=1, metavar="N", help="flights at a time (default: %(default)s)")
     sim.add_argument(
@@ -85,6 +91,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError("--arm needs --external LINK: the fake autopilots start in the air")
     if arguments.jobs < 1 or (arguments.jobs > 1 and (arguments.realtime or arguments.external)):
         raise UsageError(f"--jobs {arguments.jobs} must be 1 in real time, and at least 1 otherwise")
+    if arguments.duration is not None and not 5 <= arguments.duration <= 3600:
+        raise UsageError(f"--duration {arguments.duration:g} must be 5..3600 seconds")
     if arguments.external:
         check_device(arguments.external)
     autopilots = list(dict.fromkeys(arguments.autopilot or ["ardupilot"]))
@@ -99,6 +107,8 @@ def _run(arguments: argparse.Namespace) -> int:
             arguments.link if arguments.realtime else None,
             arguments.external,
             arguments.arm,
+            arguments.duration,
+            not arguments.no_video,
         )
         for name in names
         for autopilot in autopilots
@@ -130,22 +140,27 @@ def _print(task: _Task, run: Run) -> None:
     for verdict in run.verdicts:
         if not verdict.is_passed:
             print(f"          {verdict.name}: {verdict.measured}, wanted {verdict.wanted}")
-    print(f"video     {task.folder / FILM}\npage      {task.folder / PAGE}", flush=True)
+    if task.has_video:
+        print(f"video     {task.folder / FILM}")
+    print(f"page      {task.folder / PAGE}", flush=True)
 
 
 def _fly(task: _Task) -> Run:
     """Fly one task and write its report."""
     cv2.setNumThreads(1)
     scenario = SCENARIOS[task.scenario]
+    if task.duration_s is not None:
+        scenario = replace(scenario, duration_s=task.duration_s)
     place = stage(scenario.stage, 7 + task.seed)
     prepare_folder(task.folder)
-    film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind)
-    with VideoFile(task.folder / FILM, STEPS_PER_S) as video:
-
-        def watch(moment: Moment, image: Image | None) -> None:
-            video.write(film.frame(moment, image))
-
-        trace, verdicts, kind, facts = _made(task, scenario, watch)
+    if task.has_video:
+        film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind)
+        with VideoFile(task.folder / FILM, STEPS_PER_S) as video:
+            trace, verdicts, kind, facts = _made(
+                task, scenario, lambda moment, image: video.write(film.frame(moment, image))
+            )
+    else:
+        trace, verdicts, kind, facts = _made(task, scenario, None)
     run = Run(
         scenario=scenario.name,
         description=scenario.description,
@@ -162,7 +177,9 @@ def _fly(task: _Task) -> Run:
     return run
 
 
-def _made(task: _Task, scenario: Scenario, watch: Watcher) -> tuple[Trace, tuple[Verdict, ...], Kind, dict[str, Any]]:
+def _made(
+    task: _Task, scenario: Scenario, watch: Watcher | None
+) -> tuple[Trace, tuple[Verdict, ...], Kind, dict[str, Any]]:
     """Trace, verdicts, kind and further facts of a flight."""
     if task.external is not None:
         say: Callable[[str], None] = functools.partial(print, "external ", flush=True)

@@ -31,10 +31,12 @@ from sim.scenarios import AUTOPILOTS, WAIT_S, Operator, Scenario, Verdict
 from sim.server import CameraServer, RealTime, Shot, open_end
 from sim.stages import Stage, stage
 from sim.trace import Moment, Trace
+from sim.usage import Usage
 
 POLL_S = 0.05  # between two questions to the application
 ANSWER_S = 0.5
 BOOT_S = 15.0  # for the application to open its control socket
+USAGE_S = 5.0  # between two readings of what it takes of the machine
 END_S = 10.0  # for it to end
 
 
@@ -133,7 +135,9 @@ class Flight:
             gain=scenario.gain,
         )
         self._faults = Faults()
-        self._asked_s = -math.inf
+        self.usage = Usage()
+        self.timing: dict[str, float] = {}  # the application's own, as it said at the end
+        self._asked_s = self._used_s = -math.inf
         self._folder = folder
         self._shots: deque[Shot] = deque(maxlen=90)
         self._line = ControlLine(folder / "control.sock")
@@ -227,6 +231,7 @@ class Flight:
         self.begin()
         while self.time_s < self.scenario.duration_s:
             self.advance(operator, watcher)
+        self.timing = (self._line.ask({"do": "timing"}) or {}).get("timing", {})
         trace = Trace(tuple(self.moments))
         return trace, tuple(check.judge(trace) for check in self.scenario.checks)
 
@@ -241,6 +246,9 @@ class Flight:
         if self.time_s - self._asked_s < POLL_S:
             return None
         self._asked_s = self.time_s
+        if self.process is not None and self.time_s - self._used_s >= USAGE_S:
+            self._used_s = self.time_s
+            self.usage.read(self.process.pid, self.time_s)
         with self.realtime.lock:
             operator.act(self)
         moment = self._moment(shot, self._speak())
@@ -420,7 +428,7 @@ def _flown(flight: Flight, watcher: Watcher | None) -> tuple[Trace, tuple[Verdic
     finally:
         exit_status = flight.end_application()  # while its link is still there: its last words are for the autopilot
         flight.end()
-    facts = {**flight.status.get("timing", {}), "frames_dropped": flight.status.get("frames_dropped")}
+    facts = {**flight.timing, "frames_dropped": flight.status.get("frames_dropped"), **flight.usage.figures()}
     return trace, verdicts, {**facts, "exit_status": exit_status}
 
 

@@ -277,7 +277,7 @@ HIDES = (
     Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10),
     Check("follows at the end", "", _ends_in("following"), least=1),
 )
-_LIMITS = "[limits]\nspeed_mps = 10\nacceleration_mps2 = 2\nradius_m = 600\n"
+_LIMITS = "[limits]\nspeed_mps = 10\nacceleration_mps2 = 2\nradius_m = 5000\n"
 
 
 def _broken(**faults: bool) -> Callable[[Desk], None]:

@@ -92,9 +92,21 @@ def test_an_order_is_answered_with_the_status_after_the_step(
     end.sendall(b'{"do": "engage"}\n')
     assert control.poll() == (Engage(),)
     assert control.is_asked
-    control.answer(STATUS)
+    control.answer(STATUS, dict)
     assert answer_to(end) == STATUS
     assert not control.is_asked
+
+
+def test_who_asks_for_the_timing_gets_it_with_the_status(
+    control: ControlSocket, connect: Callable[[], socket.socket]
+) -> None:
+    plain, curious = connect(), connect()
+    plain.sendall(b'{"do": "status"}\n')
+    curious.sendall(b'{"do": "timing"}\n')
+    assert control.poll() == ()
+    control.answer(STATUS, lambda: {"overruns": 3.0})
+    assert answer_to(plain) == STATUS
+    assert answer_to(curious) == {**STATUS, "timing": {"overruns": 3.0}}
 
 
 def test_a_request_may_come_in_pieces_and_several_at_once(
@@ -132,7 +144,7 @@ def test_a_client_that_leaves_is_forgotten(control: ControlSocket, connect: Call
         end.sendall(b'{"do": "status"}\n')
         control.poll()
         end.close()
-        control.answer(STATUS)
+        control.answer(STATUS, dict)
         control.poll()
     end = connect()
     end.sendall(b'{"do": "engage"}\n')
@@ -161,7 +173,7 @@ def test_no_bytes_make_it_raise(tmp_path_factory: pytest.TempPathFactory, chunks
             end.sendall(chunk)
             for command in control.poll():
                 assert isinstance(command, Select | Deselect | Engage | Disengage)
-        control.answer(STATUS)
+        control.answer(STATUS, dict)
     control.close()
 
 
@@ -198,7 +210,7 @@ def test_ask_returns_the_answer(tmp_path: Path, control: ControlSocket) -> None:
     asker.start()
     while asker.is_alive():
         control.poll()
-        control.answer(STATUS)
+        control.answer(STATUS, dict)
     asker.join()
     assert answers == [STATUS]
 

@@ -36,6 +36,7 @@ OVERHEAD = parse(
     CAMERA.replace("mount_pitch_deg=-30", "mount_pitch_deg=-90")
     + '[follow]\nmode="overhead"\n[limits]\nfloor_m=5\nceiling_m=60\n'
 )
+BEHIND = parse(CAMERA + '[follow]\nmode="follow"\n[limits]\nfloor_m=5\nceiling_m=60\n')
 
 
 def target(fix: RangeFix | None) -> TargetEstimate:
@@ -149,6 +150,14 @@ CASES: dict[str, tuple[Reason, Callable[[Situation], Situation]]] = {
     "too low": (Reason.TOO_LOW, lambda s: with_vehicle(s, height=HeightReading(NOW_S, 4.9))),
     "too high": (Reason.TOO_HIGH, lambda s: with_vehicle(s, height=HeightReading(NOW_S, 60.1))),
     "no range": (Reason.RANGE_UNKNOWN, lambda s: replace(s, target=target(None))),
+    "conflict": (
+        Reason.RANGE_CONFLICT,
+        lambda s: replace(s, config=BEHIND, target=target(RangeFix(20.0, is_conflicting=True))),
+    ),
+    "too near": (
+        Reason.TOO_NEAR,
+        lambda s: replace(s, config=BEHIND, target=target(RangeFix(2.9, is_conflicting=False))),
+    ),
 }
 # pairs that touch the same thing: the second would undo the first, or hides it
 CLASHES = [
@@ -158,6 +167,7 @@ CLASHES = [
     {"pilot's mode", "any other mode"},
     {"attitude old", "no attitude"},
     {"too low", "too high"},
+    {"no range", "conflict", "too near", "none at frame time"},
     {"no range", "none at frame time"},
 ]
 PAIRS = [pair for pair in combinations(CASES, 2) if not any(set(pair) <= clash for clash in CLASHES)]

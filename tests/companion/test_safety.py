@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config import LimitsConfig
-from companion.safety import MAX_STEP_S, Place, SafeSetpoint, limit, stop
+from companion.safety import MAX_STEP_S, Place, SafeSetpoint, held_back_by, limit, stop
 from companion.types import ZERO, Setpoint
 
 LIMITS = LimitsConfig()
@@ -284,3 +284,29 @@ def test_nobody_else_can_make_a_setpoint_that_may_be_sent() -> None:
         dataclasses.replace(stop(), velocity_ned_mps=(9.0, 0.0, 0.0))  # type: ignore[call-arg]
     with pytest.raises(dataclasses.FrozenInstanceError):
         stop().yaw_rate_radps = 9.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("velocity_ned_mps", "place", "edges"),
+    [
+        ((3.0, 0.0, 0.0), MIDDLE, ()),
+        ((3.0, 0.0, 0.0), Place(20.0, (149.9, 0.0)), ("at limits.radius_m",)),
+        ((-3.0, 0.0, 0.0), Place(20.0, (149.9, 0.0)), ()),
+        ((0.0, 3.0, 0.0), Place(20.0, (149.9, 0.0)), ()),
+        ((0.0, 0.0, 0.5), Place(5.0, (0.0, 0.0)), ("at limits.floor_m",)),
+        ((0.0, 0.0, -0.5), Place(5.0, (0.0, 0.0)), ()),
+        ((0.0, 0.0, -0.5), Place(60.0, (0.0, 0.0)), ("at limits.ceiling_m",)),
+        ((0.0, 0.0, 0.5), Place(60.0, (0.0, 0.0)), ()),
+        ((3.0, 0.0, 0.5), Place(4.0, (200.0, 0.0)), ("at limits.radius_m", "at limits.floor_m")),
+    ],
+)
+def test_the_operator_is_told_which_edge_holds_a_wish_back(
+    velocity_ned_mps: tuple[float, float, float], place: Place, edges: tuple[str, ...]
+) -> None:
+    assert held_back_by(Setpoint(velocity_ned_mps, 0.0), place, LIMITS) == edges
+
+
+@steady
+@given(wishes, places)
+def test_no_wish_makes_the_edges_raise(wish: Setpoint, place: Place) -> None:
+    assert isinstance(held_back_by(wish, place, LIMITS), tuple)

@@ -85,7 +85,7 @@ class Answering(threading.Thread):
             self._control.poll()
             if self._control.is_asked:
                 count += 1
-                self._control.answer({"count": count})
+                self._control.answer({"count": count}, dict)
 
     def close(self) -> None:
         self._stop_asked.set()
