@@ -28,6 +28,7 @@ from mscf import Expected
 logger = logging.getLogger(__name__)
 WATCHDOG_EVERY_S = 1.0
 STATUS_EVERY_S = 5.0
+MAX_HEALTHY_AGE_S = 0.5  # of the newest frame; an older one is a camera in trouble
 MAX_BEAT_AGE_S = 3.0  # a thread that has not got round for longer is stuck
 JOIN_S = 4.0  # for a thread to end; the whole end stays below the ten seconds that systemd waits
 _SWITCH_S = 0.0005  # how soon the command loop gets Python's lock from the tracker
@@ -145,7 +146,8 @@ class App:
         data = self._link.read(now_s)
         commands = self._control.poll() if self._control is not None else ()
         sample = self._samples.value
-        is_healthy = not self._capture.fault.value and sample is not None
+        is_fresh = sample is not None and now_s - sample.captured_s <= MAX_HEALTHY_AGE_S and not sample.fault
+        is_healthy = not self._capture.fault.value and is_fresh
         step = self._follower.step(now_s, data, sample, commands, is_healthy=is_healthy)
         self._link.write(step.data)
         if step.control.setpoint is not None and sample is not None:

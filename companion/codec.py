@@ -238,7 +238,9 @@ class MavlinkCodec:
         return [Parameter(message.param_id, float(value))] if math.isfinite(value) else []
 
     def _ack(self, message: Any, time_s: float) -> list[LinkEvent]:
-        if message.command != mavlink.MAV_CMD_DO_SET_MODE:
+        target = (message.target_system, message.target_component)
+        is_ours = target in {(0, 0), (self._mav.srcSystem, self._mav.srcComponent)}  # old autopilots name nobody
+        if message.command != mavlink.MAV_CMD_DO_SET_MODE or not is_ours:
             return []
         return [ModeAnswer(message.result == mavlink.MAV_RESULT_ACCEPTED)]
 

@@ -64,7 +64,7 @@ class LinkConfig:
     device: str = setting("udpin:127.0.0.1:14540")  # udpin: udpout: tcp: tcpin: HOST:PORT, or a serial path
     baud: int = setting(921600, low=1200, high=4000000)
     system_id: int = setting(0, low=0, high=254)  # of the vehicle; 0: that of the first autopilot heard
-    component_id: int = setting(191, low=1, high=254)  # MAV_COMP_ID_ONBOARD_COMPUTER
+    component_id: int = setting(191, low=2, high=254)  # MAV_COMP_ID_ONBOARD_COMPUTER
     setpoint_frame: str = setting("local_ned", choices=("local_ned", "body_ned"))
 
 

@@ -57,6 +57,7 @@ from companion.vehicle_state import MAX_RANGEFINDER_AGE_S, VehicleState
 from mscf import Box, Expected
 
 MAX_FRAME_AGE_S = 0.3
+MAX_QUIET_S = 2.0  # since the last heartbeat: two have been lost, nothing moves until the third
 MAX_BLINK_S = 0.15  # for which frames without a measurement are no loss: the last box is not old yet
 MAX_PREDICTION_S = 3.0  # for which a hidden target is looked for where its motion would have taken it
 READY_FOR_S = 20.0  # how long zero setpoints flow for a pilot who is to select OFFBOARD
@@ -105,6 +106,7 @@ class _State:
     reference: RangeReference | None = None  # size to range, learned at engagement or configured
     aim: Aim | None = None
     engaged_at_ne_m: tuple[float, float] | None = None
+    has_seen_other: bool = False  # a heartbeat that was disarmed, or in a mode that is not ours
     auto_done: bool = False  # this selection has engaged, by itself or not
     moving: Moving = field(default_factory=Moving)
     sent: SafeSetpoint | None = None
@@ -149,7 +151,9 @@ class Controller:
         self._texts, self._request = [], None
         self._take_in(inputs.events, now_s)
         self._look(inputs.track, now_s)
-        for command in (*inputs.commands, *self._from_transmitter(inputs.events, now_s), *self._by_itself(now_s)):
+        for command in (*inputs.commands, *self._from_transmitter(inputs.events, now_s)):
+            self._obey(command, now_s)
+        for command in self._by_itself(now_s):
             self._obey(command, now_s)
         self._ladder(now_s)
         wish, notes = self._guide(now_s)
@@ -202,6 +206,8 @@ class Controller:
     def _hear_the_autopilot(self, now_s: float) -> None:
         """End what the vehicle's state ends."""
         state, vehicle, is_external = self._state, self._state.vehicle, self._is_external()
+        if vehicle.heartbeat is not None and not (vehicle.heartbeat.is_armed and is_external):
+            self._change(has_seen_other=True)
         if not state.mode.is_streaming:
             return
         was_external = state.heard_mode is FlightMode.EXTERNAL
@@ -243,6 +249,7 @@ class Controller:
             return
         elif sticks.is_held:
             self._leave(Reason.STICKS, FlightMode.PILOT)
+            self._change(asked_s=now_s)  # the pilot may just have selected a mode: hear that first
         elif vehicle.heartbeat is not None and vehicle.heartbeat.has_failsafe:
             self._leave(Reason.FAILSAFE, FlightMode.HOLD)
 
@@ -304,8 +311,8 @@ class Controller:
                     self._say(Severity.WARNING, f"Not engaged: {Reason.NO_TARGET.value}")
                 self._event(Event.MISSED, is_optional=True)
         elif self._state.must_confirm and mode in {Mode.COASTING, Mode.HOLDING, Mode.SEARCHING}:
-            self._say(Severity.NOTICE, "Target found: engage to confirm")
-            if math.isinf(self._state.awaiting_s):
+            if math.isinf(self._state.awaiting_s):  # said once: a target that blinks would flood the operator
+                self._say(Severity.NOTICE, "Target found: engage to confirm")
                 self._change(awaiting_s=now_s)
             self._event(Event.SEEN_LATE)
         else:
@@ -370,6 +377,8 @@ class Controller:
         state = self._state
         if not self._config.engage.auto or state.auto_done or state.mode is not Mode.TRACKING:
             return ()
+        if not state.has_seen_other:  # this process began while the vehicle obeyed: nobody has selected that mode since
+            return ()
         return () if self._refusals(now_s) else (Engage(),)
 
     def _obey(self, command: OperatorCommand, now_s: float) -> None:
@@ -383,6 +392,7 @@ class Controller:
                     self._say(Severity.WARNING, f"Follow ended: {Reason.DESELECTED.value}")
                 self._event(Event.DESELECTED, is_optional=True)
             case Disengage():
+                self._change(auto_done=True)
                 if state.mode.is_engaged or state.mode is Mode.READY:
                     self._leave(Reason.OPERATOR, FlightMode.HOLD)
             case Engage():
@@ -444,7 +454,9 @@ class Controller:
         if state.mode is not Mode.AWAITING or state.aim is None or state.reference is None:
             fix, box = target.fix, target.seen.box
             wanted_m = self._config.follow.range_m or (fix.range_m if fix is not None else None)
-            aim = Aim(wanted_m, box.h, state.vehicle.height_over_ground_m(now_s), target.seen.depression_rad)
+            vehicle = state.vehicle
+            height_m, is_over_ground = vehicle.height_over_ground_m(now_s), vehicle.is_over_ground(now_s)
+            aim = Aim(wanted_m, box.h, height_m, target.seen.depression_rad, is_over_ground)
             slant_m = fix.range_m / max(math.cos(target.seen.depression_rad), 0.05) if fix is not None else None
             self._change(aim=aim, reference=RangeReference(slant_m, box.h) if slant_m is not None else None)
         if state.mode is not Mode.AWAITING or state.engaged_at_ne_m is None:
@@ -457,6 +469,8 @@ class Controller:
             leave_for=FlightMode.HOLD,
             asked_s=-math.inf,
         )
+        if not state.vehicle.has_transmitter(now_s):
+            self._say(Severity.WARNING, "No transmitter seen: no stick guard")
         self._say(Severity.NOTICE, f"Following ({self._config.follow.mode})")
         self._event(Event.ENGAGE)
 
@@ -509,6 +523,8 @@ class Controller:
             return ZERO, (Reason.NO_ATTITUDE.value,)
         if local is None:
             return ZERO, (Reason.NO_POSITION.value,)
+        if state.vehicle.heartbeat is None or now_s - state.vehicle.heartbeat.time_s > MAX_QUIET_S:
+            return ZERO, ("heartbeat late",)
         if state.mode is Mode.SEARCHING:
             return Setpoint((0.0, 0.0, 0.0), self._search_rate(now_s)), ("target lost, searching",)
         if state.mode not in {Mode.FOLLOWING, Mode.COASTING} or state.target is None or state.aim is None:
@@ -538,6 +554,10 @@ class Controller:
         if follow.mode == "follow":
             return follow_target(target, aim, attitude, local, camera, now_s, moving, follow)
         height_m = self._state.vehicle.height_over_ground_m(now_s) or 0.0
+        if aim.is_over_ground is not self._state.vehicle.is_over_ground(now_s):
+            aim = replace(
+                aim, height_m=None
+            )  # another source measures from another place: no climbing by the difference
         return overhead(target, aim, local, height_m, now_s, moving, follow)
 
     def _search_rate(self, now_s: float) -> float:
@@ -573,7 +593,10 @@ class Controller:
     def _ask(self, now_s: float) -> None:
         """While leaving, ask for another flight mode once a second."""
         state = self._state
-        if state.mode is Mode.LEAVING and self._is_external() and now_s - state.asked_s >= REQUEST_EVERY_S:
+        heartbeat, is_due = state.vehicle.heartbeat, now_s - state.asked_s >= REQUEST_EVERY_S
+        # a heartbeat from before says nothing of what the pilot has selected since
+        is_known = heartbeat is not None and heartbeat.time_s > state.asked_s
+        if state.mode is Mode.LEAVING and self._is_external() and is_due and is_known:
             self._change(asked_s=now_s)
             self._request = state.leave_for
 

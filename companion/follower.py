@@ -20,6 +20,7 @@ from companion.types import (
     LinkEvent,
     OperatorCommand,
     Parameter,
+    RcChannels,
     Rebooted,
     Select,
     Severity,
@@ -63,6 +64,7 @@ class Follower:
         self._heartbeat_s = -math.inf
         self._rates_s = math.inf  # when they were asked for; not before an autopilot is there
         self._attitudes = 0  # since then
+        self._has_rc = False  # since then
         self._low_rates = 0  # how often in a row they stayed low
         self._parameters_s = -math.inf
         self._parameter_tries = 0
@@ -141,16 +143,17 @@ class Follower:
             self._ask_rates(now_s)
             self._parameter_tries, self._read = 0, set()
         self._attitudes += sum(isinstance(event, Attitude) for event in events)
+        self._has_rc |= any(isinstance(event, RcChannels) for event in events)
         if now_s - self._rates_s >= RATE_CHECK_EVERY_S:
             wanted = ATTITUDE_HZ * (now_s - self._rates_s)
             is_low = self._attitudes < MIN_RATE_SHARE * wanted
             # a slow loop reads what a fast link brought: only the rate on the link counts
             self._low_rates = self._low_rates + 1 if is_low else 0
-            if is_low:
+            if is_low or not self._has_rc:  # one lost request for the sticks would go unnoticed
                 self._ask_rates(now_s)
                 if self._low_rates > 1:
                     self._codec.send_stream_request()
-            self._rates_s, self._attitudes = now_s, 0
+            self._rates_s, self._attitudes, self._has_rc = now_s, 0, False
         self._ask_parameters(events, now_s)
 
     def _ask_rates(self, now_s: float) -> None:

@@ -42,6 +42,7 @@ class Aim:
     height_px: float
     height_m: float | None  # of the vehicle
     depression_rad: float
+    is_over_ground: bool = False  # whether a rangefinder said that height
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ clock and keeps a global connection, none of which the command loop can bear.
 
 import errno
 import logging
+import os
 import socket
 import stat
 from pathlib import Path
@@ -20,6 +21,7 @@ RETRY_S = 1.0
 MAX_BACKLOG = 4096  # bytes that wait for a slow port; more would be old when they leave
 PEER_TIMEOUT_S = 10.0  # after which a silent UDP client is written to no more
 _READ_SIZE = 65536
+_MOST_PACKETS = 1000  # at a read: empty ones never fill it
 _SCHEMES = ("udpin", "udpout", "tcp", "tcpin")
 
 
@@ -38,7 +40,9 @@ class _UdpPort:
 
     def read(self, now_s: float) -> bytes:
         data = b""
-        while len(data) < _READ_SIZE:
+        for _ in range(_MOST_PACKETS):
+            if len(data) >= _READ_SIZE:
+                break
             try:
                 packet, peer = self._socket.recvfrom(_READ_SIZE)
             except BlockingIOError:
@@ -131,9 +135,10 @@ class _SerialPort:
         return bytes(self._serial.read(_READ_SIZE))
 
     def write(self, data: bytes) -> int:
+        # not the library's own write: with a full buffer it tries for ever, whatever its time-out
         try:
-            return int(self._serial.write(data) or 0)
-        except serial.SerialTimeoutException:
+            return os.write(self._serial.fileno(), data)
+        except BlockingIOError:
             return 0
 
     def close(self) -> None:

@@ -21,6 +21,7 @@ MAX_HEARTBEAT_AGE_S = 3.0
 MAX_ATTITUDE_AGE_S = 0.3
 MAX_POSITION_AGE_S = 0.5
 MAX_RANGEFINDER_AGE_S = 0.5
+MAX_RC_AGE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +43,12 @@ class VehicleState:
         match event:
             case Heartbeat():
                 return replace(self, heartbeat=event)
-            case Attitude():
-                return replace(self, attitude=event)
+            case Attitude():  # on a link that swaps messages the newer one stays
+                is_newer = self.attitude is None or event.time_s >= self.attitude.time_s
+                return replace(self, attitude=event) if is_newer else self
             case LocalState():
-                return replace(self, local=event)
+                is_newer = self.local is None or event.time_s >= self.local.time_s
+                return replace(self, local=event) if is_newer else self
             case HeightReading():
                 return replace(self, height=event)
             case LandedReading():
@@ -84,12 +87,18 @@ class VehicleState:
         local = self.fresh_local(now_s)
         return -local.pos_ned_m[2] if local is not None else None
 
+    def is_over_ground(self, now_s: float) -> bool:
+        """Whether a rangefinder that looks down says how high it is."""
+        return self.down_range is not None and now_s - self.down_range.time_s <= MAX_RANGEFINDER_AGE_S
+
     def height_over_ground_m(self, now_s: float) -> float | None:
         """Height above what is below: of a rangefinder that looks down, else above the place of take-off."""
         down = self.down_range
-        if down is not None and now_s - down.time_s <= MAX_RANGEFINDER_AGE_S:
-            return down.distance_m
-        return self.height_m(now_s)
+        return down.distance_m if down is not None and self.is_over_ground(now_s) else self.height_m(now_s)
+
+    def has_transmitter(self, now_s: float) -> bool:
+        """Whether the pilot's channels come in."""
+        return self.rc is not None and bool(self.rc.pwm_us) and now_s - self.rc.time_s <= MAX_RC_AGE_S
 
     def is_flying(self) -> bool | None:
         """Whether it is in the air; None where it does not say."""

@@ -252,6 +252,11 @@ def _said(text: str) -> Callable[[Trace], float]:
     return lambda trace: float(any(text in line for line in trace.texts))
 
 
+def _lost_or_following(trace: Trace) -> float:
+    """Whether the run ended well either way: no third thing is honest."""
+    return float(trace.moments[-1].mode == "following" or any("Target lost" in text for text in trace.texts))
+
+
 def _off_centre_m(trace: Trace) -> float:
     """95th percentile of the distance between the vehicle and the place above the target."""
     off = sorted(m.true_range_m for m in trace.between(STEADY_S) if m.mode == "following")
@@ -308,7 +313,20 @@ SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (
         Scenario("straight", "a car drives along a road", "straight", 45, KEEPS, settings=_LIMITS),
-        Scenario("turning", "a car turns at a crossing and goes round", "turning", 70, KEEPS, settings=_LIMITS),
+        Scenario("turning", "a car drives two wide bends", "turning", 70, KEEPS, settings=_LIMITS),
+        Scenario(
+            "sharp_turn",
+            "a car turns at a crossing within 3 s and shows another side: the tracker must say that it is lost",
+            "sharp_turns",
+            45,
+            (
+                *SAFE,
+                Check("box off the target while following", "", _wrong_share, most=0.03),
+                Check("nearest the target came", "m", _least_range_m, least=8),
+                Check("says that it is lost, or follows at the end", "", _lost_or_following, least=1),
+            ),
+            settings=_LIMITS,
+        ),
         Scenario("stop_and_go", "a car brakes, stands and goes on", "stop_and_go", 60, KEEPS, settings=_LIMITS),
         Scenario("pedestrian", "a person walks", "pedestrian", 45, KEEPS, settings=_LIMITS),
         Scenario(
@@ -323,7 +341,7 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario("exposure", "clouds and the sun in the lens", "straight", 45, KEEPS, settings=_LIMITS, gain=_cloud),
         Scenario(
             "occlusion",
-            "a car passes twice under a viaduct",
+            "a car passes under a viaduct, hidden for more than a second",
             "occluder",
             60,
             HIDES,

@@ -29,9 +29,9 @@ _ALIKE_BGR: ColorBgr = (104, 72, 58)  # nearly the same
 _VAN_BGR: ColorBgr = (186, 192, 192)
 _COAT_BGR: ColorBgr = (48, 40, 150)  # a red coat
 
-_TREE_ROOM_M = 12.0  # beside the way, for sight from 12 m above it and higher
+_TREE_ROOM_M = 14.0  # beside the way, for sight from 12 m above it and higher
 _HOUSE_ROOM_M = 14.0
-_PARKED_ROOM_M = 3.0
+_PARKED_ROOM_M = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +79,14 @@ def _straight(name: str, seed: int) -> Stage:
 
 
 def _turning(name: str, seed: int) -> Stage:
+    quarter_m = 35.0 * math.pi / 2
+    segments = ((50.0, 0.0), (quarter_m, 1 / 35.0), (40.0, 0.0), (quarter_m, -1 / 35.0))
+    motion = Motion((-60.0, LANE_M), segments=segments, speeds=((0.0, 4.0),))
+    description = "drives a wide bend to the right and one to the left, a quarter in 14 s each"
+    return _led(name, description, seed, Mover(motion, _TARGET_BGR))
+
+
+def _sharp_turns(name: str, seed: int) -> Stage:
     crossing_m = CROSS_ROAD.offset_m
     segments = (
         (50.0, 0.0),
@@ -240,6 +248,7 @@ _BUILDERS: Mapping[str, Callable[[str, int], Stage]] = MappingProxyType(
     {
         "straight": _straight,
         "turning": _turning,
+        "sharp_turns": _sharp_turns,
         "stop_and_go": _stop_and_go,
         "occluder": _occluder,
         "long_occlusion": _long_occlusion,

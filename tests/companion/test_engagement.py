@@ -293,8 +293,19 @@ def test_configured_so_it_engages_by_itself_once_nothing_forbids_it() -> None:
     assert cockpit.mode is Mode.FOLLOWING
 
 
+def test_by_itself_it_does_not_engage_after_a_restart_in_the_air() -> None:
+    cockpit = Cockpit(AUTO)
+    cockpit.step()
+    cockpit.step(Select(AHEAD))
+    cockpit.run(5.0)
+    assert cockpit.mode is Mode.TRACKING
+
+
 def test_by_itself_it_engages_once_a_selection_and_not_again_after_an_override() -> None:
     cockpit = Cockpit(AUTO)
+    cockpit.fly(FlightMode.PILOT)
+    cockpit.step()
+    cockpit.fly(FlightMode.EXTERNAL)
     cockpit.step()
     cockpit.step(Select(AHEAD))
     cockpit.run(0.5)

@@ -34,6 +34,7 @@ class Link:
         self.booted_k = -1000  # the step in which it was switched on
         self.is_there = True
         self.attitude_every = 1  # steps
+        self.has_rc = True
         self.values: dict[str, float] = {}
         self.is_tracked = True
         self.steps: list[Step] = []
@@ -97,6 +98,8 @@ class Link:
             messages.append(mavlink.MAVLink_heartbeat_message(2, self.autopilot, 0x81, self.mode, 4, 3))
         if self.k % self.attitude_every == 0:
             messages += [mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0)] * 3  # as 50 Hz and more
+        if self.has_rc:
+            messages.append(mavlink.MAVLink_rc_channels_message(boot_ms, 4, *[1500] * 4, *[0xFFFF] * 14, 255))
         messages.append(mavlink.MAVLink_local_position_ned_message(boot_ms, 0, 0, -14, 0, 0, 0))
         for name in self._asked:
             if name in self.values:
@@ -136,6 +139,14 @@ def test_telemetry_is_asked_for_with_the_first_heartbeat_and_not_again_while_it_
     asked = [m for _, m in link.of("COMMAND_LONG")]
     assert [int(m.param1) for m in asked] == [*RATES_HZ]
     assert {m.command for m in asked} == {511}
+
+
+def test_sticks_that_do_not_come_are_asked_for_again() -> None:
+    link = Link()
+    link.has_rc = False
+    link.run(21.0)
+    assert [b - a for a, b in pairwise(link.asked_rates())] == pytest.approx([5.0] * 4, abs=0.11)
+    assert not link.of("REQUEST_DATA_STREAM")
 
 
 def test_a_rate_that_stays_low_is_asked_for_again_in_both_ways() -> None:

@@ -131,6 +131,19 @@ def test_a_serial_port_is_read_and_written_without_blocking() -> None:
     os.close(slave)
 
 
+def test_a_serial_port_that_nobody_reads_does_not_block() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    link = Link(os.ttyname(slave), 115200)
+    link.read(0.0)
+    while not link.dropped_bytes:
+        link.write(bytes(1000))
+    assert not link.fault
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
 def test_a_serial_port_that_is_pulled_out_is_lost_and_tried_again() -> None:
     master, slave = os.openpty()
     tty.setraw(slave)

@@ -120,16 +120,21 @@ def test_an_autopilot_unheard_for_three_seconds_is_sent_nothing(mode: Mode, auto
 @pytest.mark.parametrize("mode", OBEYED)
 @pytest.mark.parametrize("channel", [0, 1, 3])
 @pytest.mark.parametrize("pwm_us", [1379, 1621])
-def test_a_stick_held_for_200_ms_asks_for_the_pilots_mode(mode: Mode, channel: int, pwm_us: int) -> None:
+def test_a_stick_held_for_200_ms_stops_at_once_and_asks_for_the_pilots_mode_when_the_autopilot_has_been_heard(
+    mode: Mode, channel: int, pwm_us: int
+) -> None:
     cockpit = brought_to(mode)
     pwm = [1500] * 4
     pwm[channel] = pwm_us
     cockpit.pwm_us = (pwm[0], pwm[1], pwm[2], pwm[3])
     assert all(output.mode is not Mode.LEAVING for output in cockpit.run(0.25))  # the first step begins the time
     output = cockpit.step()
-    assert (output.mode, output.request) == (Mode.LEAVING, FlightMode.PILOT)
+    assert (output.mode, output.request) == (Mode.LEAVING, None)  # the pilot may have selected a mode by now
     assert sent(output) == ZERO
     assert f"Follow ended: {Reason.STICKS.value}" in cockpit.texts
+    outputs = cockpit.run(1.2)
+    assert {sent(output) for output in outputs} == {ZERO}
+    assert [output.request for output in outputs if output.request is not None] == [FlightMode.PILOT]
 
 
 @pytest.mark.parametrize("mode", OBEYED)

@@ -103,7 +103,8 @@ def test_unknown_stage_is_refused_with_the_known_ones() -> None:
     ("name", "least_mps", "greatest_mps"),
     [
         ("straight", 4.0, 6.0),
-        ("turning", 4.0, 5.0),
+        ("turning", 4.0, 4.0),
+        ("sharp_turns", 4.0, 5.0),
         ("stop_and_go", 0.0, 5.0),
         ("occluder", 5.0, 5.0),
         ("long_occlusion", 0.0, 5.0),
@@ -159,12 +160,21 @@ def test_long_occlusion_is_the_only_one_of_its_stage() -> None:
 
 
 def test_target_turns_right_and_left_by_right_angles_and_half_turns() -> None:
-    place = stage("turning", SEED)
+    place = stage("sharp_turns", SEED)
     yaws_rad = [place.target.motion.pose(t).yaw_rad for t in np.arange(0.0, place.duration_s, 0.1)]
     steps_rad = np.diff(yaws_rad)
     assert steps_rad[steps_rad > 0].sum() == pytest.approx(math.pi / 2)
     assert -steps_rad[steps_rad < 0].sum() == pytest.approx(2.5 * math.pi)
     assert np.abs(steps_rad).max() / 0.1 < math.radians(30)  # a follower can turn as fast as that
+
+
+def test_bends_are_a_quarter_to_either_side_and_slow() -> None:
+    place = stage("turning", SEED)
+    yaws_rad = [place.target.motion.pose(t).yaw_rad for t in np.arange(0.0, place.duration_s, 0.1)]
+    steps_rad = np.diff(yaws_rad)
+    assert steps_rad[steps_rad > 0].sum() == pytest.approx(math.pi / 2)
+    assert -steps_rad[steps_rad < 0].sum() == pytest.approx(math.pi / 2)
+    assert np.abs(steps_rad).max() / 0.1 < math.radians(7)
 
 
 def test_target_stands_four_times_for_6_s() -> None:
