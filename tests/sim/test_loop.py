@@ -369,7 +369,7 @@ def loop_kind(loop: Loop) -> type[Personality]:
     ("happen", "within_s", "modes"),
     [
         (take_mode, 1.1, PILOT),
-        (take_stick, 1.6, PILOT),
+        (take_stick, 3.2, PILOT),
         (empty_battery, 1.1, HOME),
         (lose_rc, 2.2, HOME),
         (lose_gps, 9.5, LAND),
