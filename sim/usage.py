@@ -28,11 +28,12 @@ class Usage:
         if len(self.readings) < 2:
             return {}
         first, last = self.readings[0], self.readings[-1]
-        settled = next((reading for reading in self.readings if reading[0] >= SETTLED_S), first)
+        settled = next((reading for reading in self.readings if reading[0] >= SETTLED_S), None)
         share = (last[1] - first[1]) / max(last[0] - first[0], 1e-9)
+        settled_mb = {f"application_memory_at_{SETTLED_S:g}_s_mb": round(settled[2], 1)} if settled is not None else {}
         return {
             "application_cpu_percent_of_a_core": round(100 * share, 1),
-            f"application_memory_at_{SETTLED_S:g}_s_mb": round(settled[2], 1),
+            **settled_mb,
             "application_memory_at_the_end_mb": round(last[2], 1),
             "application_memory_peak_mb": round(max(reading[2] for reading in self.readings), 1),
         }
