@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from companion.codec import ATTITUDE_HZ, MavlinkCodec
 from companion.config import Config
 from companion.controller import Controller, ControlOutput
+from companion.engagement import Reason
 from companion.parameters import WANTED, advice
 from companion.safety import stop
 from companion.types import (
@@ -122,7 +123,7 @@ class Follower:
                 self._codec.send_setpoint(stop(), now_s + count / 1000)
         if request is not None:
             self._codec.send_mode_request(request)
-            self._codec.send_text(Text(Severity.WARNING, "Follow ended: shutting down"))
+            self._codec.send_text(Text(Severity.WARNING, f"Follow ended: {Reason.SHUTDOWN.value}"))
         return self._codec.drain()
 
     def _at_start(self, track: TrackSample | None) -> tuple[OperatorCommand, ...]:

@@ -154,7 +154,8 @@ def _fly(task: _Task) -> Run:
     place = stage(scenario.stage, 7 + task.seed)
     prepare_folder(task.folder)
     if task.has_video:
-        film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind)
+        radius_m = scenario.config(place).limits.radius_m
+        film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind, radius_m=radius_m)
         with VideoFile(task.folder / FILM, STEPS_PER_S) as video:
             trace, verdicts, kind, facts = _made(
                 task, scenario, lambda moment, image: video.write(film.frame(moment, image))
