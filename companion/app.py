@@ -30,6 +30,7 @@ WATCHDOG_EVERY_S = 1.0
 STATUS_EVERY_S = 5.0
 MAX_HEALTHY_AGE_S = 0.5  # of the newest frame; an older one is a camera in trouble
 MAX_BEAT_AGE_S = 3.0  # a thread that has not got round for longer is stuck
+FAREWELL_S = 0.2  # for a slow port to take the last words
 JOIN_S = 4.0  # for a thread to end; the whole end stays below the ten seconds that systemd waits
 _SWITCH_S = 0.0005  # how soon the command loop gets Python's lock from the tracker
 _TAKE_S = 0.2
@@ -146,6 +147,7 @@ class App:
         data = self._link.read(now_s)
         commands = self._control.poll() if self._control is not None else ()
         sample = self._samples.value
+        self._timing.see(sample)
         is_fresh = sample is not None and now_s - sample.captured_s <= MAX_HEALTHY_AGE_S and not sample.fault
         is_healthy = not self._capture.fault.value and is_fresh
         step = self._follower.step(now_s, data, sample, commands, is_healthy=is_healthy)
@@ -210,6 +212,7 @@ class App:
             "autopilot": heartbeat.autopilot.value if heartbeat is not None else None,
             "flight_mode": heartbeat.mode_name if heartbeat is not None else None,
             "is_armed": heartbeat.is_armed if heartbeat is not None else None,
+            "battery_pct": step.vehicle.battery.remaining_pct if step.vehicle.battery is not None else None,
             "height_m": step.vehicle.height_m(now_s),
             "setpoint_ned_mps": step.control.setpoint.velocity_ned_mps if step.control.setpoint else None,
             "yaw_rate_radps": step.control.setpoint.yaw_rate_radps if step.control.setpoint else None,
@@ -243,7 +246,7 @@ class App:
     def _end(self) -> None:
         """Zero velocity, disengage, and let go of everything."""
         self._notifier.send(STOPPING="1")
-        self._link.write(self._follower.farewell(time.monotonic()))
+        self._link.flush(self._follower.farewell(time.monotonic()), FAREWELL_S)
         self._stop.set()
         self._vision.stop_asked.set()
         for thread in (self._capture, self._vision):

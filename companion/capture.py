@@ -28,6 +28,7 @@ from mscf.source import open_source
 
 logger = logging.getLogger(__name__)
 RETRY_S = 1.0
+MAX_STAMP_AGE_S = 1.0
 _SOCKET_TIMEOUT_S = 0.2
 UNIX = "unix:"
 
@@ -113,13 +114,23 @@ def _v4l2_frames(config: CameraConfig) -> Iterator[Captured]:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         while True:
             is_grabbed = capture.grab()
-            captured_s = time.monotonic()  # before decoding, which takes its time
+            # before decoding, which takes its time
+            captured_s = captured_at(capture.get(cv2.CAP_PROP_POS_MSEC), time.monotonic())
             is_read, image = capture.retrieve() if is_grabbed else (False, None)
             if not is_read or image is None:
                 raise CameraLostError(f"{config.source} delivers no frames any more: was it unplugged?")
             yield np.asarray(image, dtype=np.uint8), captured_s
     finally:
         capture.release()
+
+
+def captured_at(driver_ms: float, now_s: float) -> float:
+    """When a V4L2 frame was captured: the driver's own stamp, which is taken before the frame waits to be read.
+
+    Drivers of cameras stamp on the monotonic clock; a stamp that is no second old on it is of another clock.
+    """
+    driver_s = driver_ms / 1000
+    return driver_s if 0 <= now_s - driver_s < MAX_STAMP_AGE_S else now_s
 
 
 def _socket_frames(path: str) -> Iterator[Captured]:

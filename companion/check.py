@@ -196,7 +196,7 @@ def _displaced(config: Config) -> list[tuple[str, Box, float]]:
 
 
 def _middle(config: Config) -> Box:
-    side = 0.1 * config.camera.height_px
+    side = 0.15 * config.camera.height_px
     return Box((config.camera.width_px - side) / 2, (config.camera.height_px - side) / 2, side, side)
 
 

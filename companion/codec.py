@@ -19,6 +19,7 @@ from companion.types import (
     Attitude,
     Autopilot,
     AutopilotText,
+    Battery,
     Direction,
     FlightMode,
     Heartbeat,
@@ -32,6 +33,7 @@ from companion.types import (
     RangeReading,
     RcChannels,
     Rebooted,
+    SetpointInForce,
     Text,
 )
 
@@ -84,6 +86,7 @@ RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
     mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
 }
 
 
@@ -155,6 +158,8 @@ class MavlinkCodec:
             "EXTENDED_SYS_STATE": _landed,
             "DISTANCE_SENSOR": _range,
             "RC_CHANNELS": _rc,
+            "SYS_STATUS": _battery,
+            "POSITION_TARGET_LOCAL_NED": _in_force,
             "PARAM_VALUE": self._parameter,
             "COMMAND_ACK": self._ack,
             "STATUSTEXT": _text,
@@ -354,6 +359,16 @@ def _rc(message: Any, time_s: float) -> list[LinkEvent]:
     count = min(message.chancount, 18)
     values = [getattr(message, f"chan{k}_raw") for k in range(1, count + 1)]
     return [RcChannels(time_s, tuple(0 if value == 0xFFFF else value for value in values))]
+
+
+def _battery(message: Any, _time_s: float) -> list[LinkEvent]:
+    remaining_pct = message.battery_remaining
+    return [Battery(remaining_pct)] if 0 <= remaining_pct <= 100 else []  # -1: not known
+
+
+def _in_force(message: Any, time_s: float) -> list[LinkEvent]:
+    velocity = message.vx, message.vy, message.vz
+    return [SetpointInForce(time_s, velocity)] if all(map(math.isfinite, velocity)) else []
 
 
 def _text(message: Any, _time_s: float) -> list[LinkEvent]:

@@ -17,6 +17,8 @@ from companion.errors import ConfigError
 from mscf import PRESETS
 
 FILE_NAME = "config.toml"
+SETPOINT_BITS = 650  # of one on a serial line: 65 bytes, each with a start and a stop bit
+MAX_LINE_SHARE = 0.8  # of a serial line for setpoints
 MIN_RANGE_M = 3.0  # to be held horizontally; as follow.nominal_range_m
 
 
@@ -247,6 +249,11 @@ def warnings(config: Config) -> tuple[str, ...]:
             f"camera.latency_ms = {config.camera.latency_ms:g}: what was seen more than 500 ms ago moves nothing, and "
             "the tracker's own time comes on top"
         )
+    if config.link.device.startswith("udpin:0.0.0.0:"):
+        found.append(
+            f"link.device = {config.link.device}: whoever reaches this port can play the autopilot; give the address "
+            "of the interface that the autopilot is on, 127.0.0.1 behind a router on this computer"
+        )
     if config.loop.rate_hz < 20:
         found.append(f"loop.rate_hz = {config.loop.rate_hz:g}: both autopilots are at ease from 20")
     return tuple(found)
@@ -303,6 +310,7 @@ def _is_finite(value: object) -> bool:
 def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
     """What two keys must not say together: whether they do, and the line that says so."""
     camera, select, follow, limits, loss = config.camera, config.select, config.follow, config.limits, config.loss
+    link, needed_baud = config.link, SETPOINT_BITS * config.loop.rate_hz / MAX_LINE_SHARE
     rc, gain_delay = config.rc, config.follow.yaw_gain_per_s * config.follow.delay_ms / 1000
     channels = [rc.roll_channel, rc.pitch_channel, rc.yaw_channel] + [rc.switch_channel] * (rc.switch_channel > 0)
     return (
@@ -377,6 +385,13 @@ def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
             (
                 f"loss.search_yaw_rate_dps = {loss.search_yaw_rate_dps:g} must not be above limits.yaw_rate_dps = "
                 f"{limits.yaw_rate_dps:g}"
+            ),
+        ),
+        (
+            link.device.startswith("/") and link.baud < needed_baud,
+            (
+                f"link.baud = {link.baud} is too slow for {config.loop.rate_hz:g} setpoints a second: give "
+                f"{needed_baud:.0f} or more, or lower loop.rate_hz"
             ),
         ),
         (

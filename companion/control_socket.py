@@ -131,8 +131,7 @@ class ControlSocket:
             except OSError:  # nobody there, or no descriptor left: later
                 return
             if len(self._clients) >= MAX_CLIENTS:
-                connection.close()
-                continue
+                self._drop(self._clients[0])  # who has been silent for longest: `disengage` must always get through
             connection.settimeout(0)
             self._clients.append(_Client(connection))
 
@@ -146,6 +145,8 @@ class ControlSocket:
         if not data:
             self._drop(client)
             return []
+        self._clients.remove(client)
+        self._clients.append(client)  # the last one is the latest to have spoken
         *lines, client.received = (client.received + data).split(b"\n")
         if len(client.received) > MAX_LINE:
             self._send(client, {"error": f"a request must be a line of at most {MAX_LINE} bytes"})

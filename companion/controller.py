@@ -14,7 +14,7 @@ import numpy as np
 from companion.camera_model import AttitudeHistory, CameraModel, ray_to, wrapped
 from companion.config import Config
 from companion.engagement import Reason, refusals
-from companion.guidance import Aim, Guided, Moving, follow_target, overhead, spotlight, turn
+from companion.guidance import MAX_PREDICTION_S, Aim, Guided, Moving, follow_target, overhead, spotlight, turn
 from companion.modes import TRANSITIONS, Event, Mode, after
 from companion.safety import Place, SafeSetpoint, held_back_by, limit, stop
 from companion.target import (
@@ -49,6 +49,7 @@ from companion.types import (
     Select,
     Selection,
     Setpoint,
+    SetpointInForce,
     Severity,
     Text,
     TrackSample,
@@ -59,9 +60,14 @@ from mscf import Box, Expected
 MAX_FRAME_AGE_S = 0.3
 MAX_QUIET_S = 2.0  # since the last heartbeat: two have been lost, nothing moves until the third
 MAX_BLINK_S = 0.15  # for which frames without a measurement are no loss: the last box is not old yet
-MAX_PREDICTION_S = 3.0  # for which a hidden target is looked for where its motion would have taken it
+MAX_HIDDEN_S = 3.0  # for which a hidden target is looked for where its motion would have taken it
 READY_FOR_S = 20.0  # how long zero setpoints flow for a pilot who is to select OFFBOARD
 REQUEST_EVERY_S = 1.0  # a flight mode that does not come is asked for again
+MAX_JUMP_M = 2.0  # between two positions, beyond what velocity explains: the local frame was reset, nothing moved
+MAX_JUMP_MPS2 = 10.0  # what velocity may have changed by in between
+MIN_BOX_PX = 4.0  # smaller side of a measured box: below, it is a speck on which any filter finds itself
+DEAF_S = 2.0  # for which an autopilot steers by zero while it is told to move: it does not hear
+DEAF_MPS = 0.5  # a setpoint that is less says nothing
 STREAM_GAP_S = 0.5  # without setpoints, after which PX4 (which wants more than 2 Hz) may leave OFFBOARD
 SILENCE_S = 1.0  # of the link, after which PX4 has left OFFBOARD: the default of COM_OF_LOSS_T
 NOTHING_SELECTED = Selection(0, None)
@@ -122,6 +128,7 @@ class _State:
     has_resume_guard: bool = False  # PX4 may have left OFFBOARD by failsafe: our stream alone would bring it back
     is_answered: bool = False  # the last answer to a request for a mode, since then, was yes
     heard_mode: FlightMode | None = None  # of the last heartbeat
+    deaf_since_s: float | None = None  # when the autopilot steered by zero for the first time, though told to move
 
 
 class Controller:
@@ -192,6 +199,10 @@ class Controller:
                 self._change(heard_mode=None)
             if isinstance(event, ModeAnswer):
                 self._change(is_answered=event.is_accepted)
+            if isinstance(event, LocalState):
+                self._watch_frame(event)
+            if isinstance(event, SetpointInForce):
+                self._watch_obedience(event)
             self._change(vehicle=self._state.vehicle.after(event))
             if isinstance(event, Heartbeat):
                 self._watch_resume(event, now_s)
@@ -242,9 +253,17 @@ class Controller:
         is_ours = self._state.mode.is_engaged or self._state.mode is Mode.READY
         if not is_ours:
             return
-        if now_s - self._state.sent_s > STREAM_GAP_S:
-            # the autopilot's time-out may have run: nobody expects the vehicle to move on by itself after that
+        gap_s = now_s - self._state.sent_s
+        if gap_s > STREAM_GAP_S:
+            # nobody expects the vehicle to move on by itself after that; what was heard just now may have waited
+            # as long as we did, and the pilot may have the vehicle since
+            if self._is_px4() and gap_s > vehicle.parameters.get("COM_OF_LOSS_T", SILENCE_S):
+                self._override(Reason.STALLED)
+                self._change(has_resume_guard=True, is_answered=False)
+                return
             self._leave(Reason.STALLED, FlightMode.HOLD)
+            if not self._is_px4():  # zero setpoints bring nobody back there: time to hear the mode first
+                self._change(asked_s=now_s)
         elif not self._is_external():
             return
         elif sticks.is_held:
@@ -252,6 +271,40 @@ class Controller:
             self._change(asked_s=now_s)  # the pilot may just have selected a mode: hear that first
         elif vehicle.heartbeat is not None and vehicle.heartbeat.has_failsafe:
             self._leave(Reason.FAILSAFE, FlightMode.HOLD)
+        elif self._state.deaf_since_s is not None and now_s - self._state.deaf_since_s >= DEAF_S:
+            self._leave(Reason.NOT_OBEYED, FlightMode.HOLD)
+
+    def _watch_frame(self, local: LocalState) -> None:
+        """A local frame that jumps (a reset of the autopilot's estimator) takes what is kept in it along."""
+        state, before = self._state, self._state.vehicle.local
+        if before is None or local.time_s <= before.time_s:
+            return
+        gap_s = local.time_s - before.time_s
+        jump_ne_m = tuple(
+            local.pos_ned_m[k]
+            - before.pos_ned_m[k]
+            - gap_s * (before.velocity_ned_mps[k] + local.velocity_ned_mps[k]) / 2
+            for k in (0, 1)
+        )
+        if math.hypot(*jump_ne_m) <= MAX_JUMP_M + MAX_JUMP_MPS2 * gap_s**2 / 2:
+            return
+        if state.target is not None:
+            self._change(target=replace(state.target, north=None, east=None))
+        if state.engaged_at_ne_m is not None:
+            north_m, east_m = state.engaged_at_ne_m
+            self._change(engaged_at_ne_m=(north_m + jump_ne_m[0], east_m + jump_ne_m[1]))
+        if state.mode.is_engaged:
+            self._say(Severity.NOTICE, "Local position jumped: start shifted")
+
+    def _watch_obedience(self, in_force: SetpointInForce) -> None:
+        """ArduPilot: the setpoint in force is zero once ours have not come for GUID_TIMEOUT; PX4 leaves OFFBOARD."""
+        state = self._state
+        told_mps = math.hypot(*state.sent.velocity_ned_mps) if state.sent is not None else 0.0
+        is_deaf = told_mps > DEAF_MPS and not any(in_force.velocity_ned_mps) and not self._is_px4()
+        if not (is_deaf and state.mode.is_engaged):
+            self._change(deaf_since_s=None)
+        elif state.deaf_since_s is None:
+            self._change(deaf_since_s=in_force.time_s)
 
     def _watch_resume(self, heartbeat: Heartbeat, now_s: float) -> None:
         """PX4: a stream that resumes after a gap brings OFFBOARD back by itself, unless a mode was commanded.
@@ -266,7 +319,10 @@ class Controller:
         if state.heard_mode is None:
             self._change(has_resume_guard=heartbeat.is_armed and not is_external, is_answered=False)
         elif state.heard_mode is FlightMode.EXTERNAL and not is_external:
-            if now_s - state.sent_s > STREAM_GAP_S:
+            is_requested = state.mode is Mode.LEAVING and mode is state.leave_for
+            # PX4's heartbeat says CRITICAL while one of its failsafes acts: its own time-out, where we are not heard
+            is_failsafe = heartbeat.has_failsafe or mode in _FAILSAFE_MODES
+            if now_s - state.sent_s > STREAM_GAP_S or (is_failsafe and not is_requested):
                 self._change(has_resume_guard=True, is_answered=False)
         elif (is_changed and mode not in _FAILSAFE_MODES) or (state.is_answered and mode is FlightMode.HOLD):
             self._change(has_resume_guard=False)
@@ -468,7 +524,10 @@ class Controller:
             auto_done=True,
             leave_for=FlightMode.HOLD,
             asked_s=-math.inf,
+            deaf_since_s=None,
         )
+        if not state.vehicle.has_height(now_s):
+            self._say(Severity.WARNING, "No height over take-off: that of local frame")
         if not state.vehicle.has_transmitter(now_s):
             self._say(Severity.WARNING, "No transmitter seen: no stick guard")
         self._say(Severity.NOTICE, f"Following ({self._config.follow.mode})")
@@ -577,7 +636,8 @@ class Controller:
         if not state.mode.is_streaming:
             self._change(sent=None)
             return None, ()
-        is_moving = state.mode in {Mode.FOLLOWING, Mode.COASTING, Mode.SEARCHING}
+        is_old = state.target is None or now_s - state.target.seen.time_s > MAX_PREDICTION_S
+        is_moving = state.mode is Mode.SEARCHING or (state.mode in {Mode.FOLLOWING, Mode.COASTING} and not is_old)
         edges: tuple[str, ...] = ()
         local, start = vehicle.fresh_local(now_s), state.engaged_at_ne_m
         if not is_moving or vehicle.fresh_attitude(now_s) is None or local is None or start is None:
@@ -607,7 +667,7 @@ class Controller:
         if target is None or attitude is None or camera is None:
             return None
         # a target that hides is assumed to go on for a while, then to have stopped
-        until_s = min(now_s, target.seen.time_s + MAX_PREDICTION_S)
+        until_s = min(now_s, target.seen.time_s + MAX_HIDDEN_S)
         place, local = target.place_ne_m(until_s), state.vehicle.fresh_local(now_s)
         height_m = state.vehicle.height_over_ground_m(now_s)
         if place is not None and local is not None and height_m is not None:
@@ -653,7 +713,7 @@ def _is_sane(box: Box) -> bool:
 
 
 def _is_in_frame(box: Box, size_hw: tuple[int, int]) -> bool:
-    """Whether a measured box can be one: its middle in the frame, from one pixel to twice the frame in size."""
+    """Whether a measured box can be one: its middle in the frame, no speck, at most twice the frame in size."""
     (u, v), (height, width) = box.center_xy, size_hw
     is_inside = 0 <= u <= width and 0 <= v <= height
-    return box.is_finite and is_inside and 1 <= box.w <= 2 * width and 1 <= box.h <= 2 * height
+    return box.is_finite and is_inside and MIN_BOX_PX <= box.w <= 2 * width and MIN_BOX_PX <= box.h <= 2 * height

@@ -4,11 +4,13 @@ Device notation is pymavlink's. Its own `mavutil` is not used: it sleeps while i
 clock and keeps a global connection, none of which the command loop can bear.
 """
 
+import contextlib
 import errno
 import logging
 import os
 import socket
 import stat
+import time
 from pathlib import Path
 from typing import Protocol
 
@@ -18,25 +20,35 @@ from companion.errors import LinkLostError, UsageError
 
 logger = logging.getLogger(__name__)
 RETRY_S = 1.0
-MAX_BACKLOG = 4096  # bytes that wait for a slow port; more would be old when they leave
+MAX_QUEUE_S = 0.1  # of data that waits in a serial port's driver; more would be old when it leaves
+MIN_QUEUE = 512  # bytes that may wait there in any case: as much as one step can write
 PEER_TIMEOUT_S = 10.0  # after which a silent UDP client is written to no more
 _READ_SIZE = 65536
 _MOST_PACKETS = 1000  # at a read: empty ones never fill it
+_FLUSH_WAIT_S = 0.005
+_HEADER, _CHECKSUM, _SIGNATURE, _IS_SIGNED = 10, 2, 13, 1  # of a MAVLink 2 message
 _SCHEMES = ("udpin", "udpout", "tcp", "tcpin")
 
 
 class Port(Protocol):
-    """An open port; neither call blocks, and either raises OSError where it is broken."""
+    """An open port; no call blocks, and reads and writes raise OSError where it is broken."""
 
     def read(self, now_s: float) -> bytes: ...
     def write(self, data: bytes) -> int: ...
     def close(self) -> None: ...
 
 
-class _UdpPort:
-    def __init__(self, address: tuple[str, int], *, is_server: bool) -> None:
-        self._socket = _bound_udp(address) if is_server else _udp()
-        self._peers: dict[tuple[str, int], float] = {} if is_server else {address: float("inf")}
+class _UdpServer:
+    """Answers everybody who has spoken lately."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self._socket = _udp()
+        try:
+            self._socket.bind(address)
+        except OSError:
+            self._socket.close()
+            raise
+        self._peers: dict[tuple[str, int], float] = {}  # when it was heard last
 
     def read(self, now_s: float) -> bytes:
         data = b""
@@ -47,11 +59,10 @@ class _UdpPort:
                 packet, peer = self._socket.recvfrom(_READ_SIZE)
             except BlockingIOError:
                 break
-            except ConnectionRefusedError:  # ICMP's answer to what was sent before: nobody listens yet
+            except ConnectionRefusedError:  # ICMP's answer to what was sent before: nobody listens any more
                 continue
             data += packet
-            if self._peers.get(peer) != float("inf"):
-                self._peers[peer] = now_s
+            self._peers[peer] = now_s
         self._peers = {peer: seen_s for peer, seen_s in self._peers.items() if now_s - seen_s < PEER_TIMEOUT_S}
         return data
 
@@ -61,6 +72,39 @@ class _UdpPort:
                 self._socket.sendto(data, peer)
             except (BlockingIOError, ConnectionRefusedError):
                 continue
+        return len(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _UdpClient:
+    """Speaks to one address, looked up once, and hears nobody else."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self._socket = _udp()
+        try:
+            self._socket.connect(address)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def read(self, now_s: float) -> bytes:
+        data = b""
+        for _ in range(_MOST_PACKETS):
+            if len(data) >= _READ_SIZE:
+                break
+            try:
+                data += self._socket.recv(_READ_SIZE)
+            except BlockingIOError:
+                break
+            except ConnectionRefusedError:  # nobody listens there yet
+                continue
+        return data
+
+    def write(self, data: bytes) -> int:
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # lost, as any datagram may be
+            self._socket.send(data)
         return len(data)
 
     def close(self) -> None:
@@ -130,11 +174,18 @@ class _TcpPort:
 class _SerialPort:
     def __init__(self, path: str, baud: int) -> None:
         self._serial = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
+        self._most_queued = max(MIN_QUEUE, round(MAX_QUEUE_S * baud / 10))  # a byte takes ten bits
 
     def read(self, now_s: float) -> bytes:
-        return bytes(self._serial.read(_READ_SIZE))
+        # to the last byte: after a stall, what is left behind would be taken for news at the next step
+        data = b""
+        while len(data) < _READ_SIZE and (part := self._serial.read(_READ_SIZE)):
+            data += part
+        return data
 
     def write(self, data: bytes) -> int:
+        if self._serial.out_waiting > self._most_queued:
+            return 0
         # not the library's own write: with a full buffer it tries for ever, whatever its time-out
         try:
             return os.write(self._serial.fileno(), data)
@@ -148,16 +199,6 @@ class _SerialPort:
 def _udp() -> socket.socket:
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.settimeout(0)
-    return end
-
-
-def _bound_udp(address: tuple[str, int]) -> socket.socket:
-    end = _udp()
-    try:
-        end.bind(address)
-    except OSError:
-        end.close()
-        raise
     return end
 
 
@@ -190,7 +231,7 @@ def open_port(device: str, baud: int) -> Port:
         if scheme in _SCHEMES:
             address = (rest[0], int(rest[1]))
             if scheme.startswith("udp"):
-                return _UdpPort(address, is_server=scheme == "udpin")
+                return _UdpServer(address) if scheme == "udpin" else _UdpClient(address)
             return _TcpPort(address, is_server=scheme == "tcpin")
         if not stat.S_ISCHR(Path(device).stat().st_mode):
             raise LinkLostError(f"{device} is no serial port")
@@ -199,6 +240,14 @@ def open_port(device: str, baud: int) -> Port:
         raise LinkLostError(f"{device} cannot be opened: {error}") from error
     except OSError as error:
         raise LinkLostError(f"{device} cannot be opened: {error.strerror or error}") from error
+
+
+def _length(data: bytes, start: int) -> int:
+    """Of the MAVLink 2 message that starts there; what is cut off of it is counted, too."""
+    header = data[start : start + _HEADER]
+    if len(header) < _HEADER:
+        return len(header)
+    return _HEADER + header[1] + _CHECKSUM + (_SIGNATURE if header[2] & _IS_SIGNED else 0)
 
 
 class Link:
@@ -211,7 +260,7 @@ class Link:
         self._baud = baud
         self._port: Port | None = None
         self._tried_s = float("-inf")
-        self._backlog = b""
+        self._rest = b""  # of the message that was cut
 
     def read(self, now_s: float) -> bytes:
         """What has arrived; opens the port where it is not, once a second."""
@@ -226,25 +275,47 @@ class Link:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send, or keep what a slow port does not take yet; what would be old by then is dropped whole."""
-        if self._port is None or not (data or self._backlog):
+        """Send what the port takes; of the rest, only that of a message that was cut is kept.
+
+        A setpoint that waited would be old when it leaves, and the next one follows in a period of the loop.
+
+        Parameters
+        ----------
+        data : whole MAVLink 2 messages.
+        """
+        if self._port is None or not (data or self._rest):
             return
-        if len(self._backlog) > MAX_BACKLOG:
-            self.dropped_bytes += len(data)
-            data = b""
-        waiting = self._backlog + data
-        try:
-            sent = self._port.write(waiting)
-        except (OSError, serial.SerialException) as error:
-            self._lose(error)
-            return
-        self._backlog = waiting[sent:]
+        waiting = self._rest + data
+        sent = self._send(waiting)
+        end = len(self._rest)
+        while end < sent:
+            end += _length(waiting, end)
+        self._rest = waiting[sent:end]
+        self.dropped_bytes += len(waiting) - end
+
+    def flush(self, data: bytes, patience_s: float) -> None:
+        """Send last words, every one; waits for the port, `patience_s` at most."""
+        waiting, end_s = self._rest + data, time.monotonic() + patience_s
+        while self._port is not None and waiting and time.monotonic() < end_s:
+            sent = self._send(waiting)
+            waiting = waiting[sent:]
+            if not sent:
+                time.sleep(_FLUSH_WAIT_S)
 
     def close(self) -> None:
         """Close the port."""
         if self._port is not None:
             self._port.close()
             self._port = None
+
+    def _send(self, data: bytes) -> int:
+        """How many bytes the port has taken."""
+        assert self._port is not None
+        try:
+            return self._port.write(data)
+        except (OSError, serial.SerialException) as error:
+            self._lose(error)
+            return 0
 
     def _open(self, now_s: float) -> None:
         if now_s - self._tried_s < RETRY_S:
@@ -257,7 +328,7 @@ class Link:
                 self.fault = str(error)
                 logger.warning("link: %s", self.fault)
             return
-        self.fault, self._backlog = "", b""
+        self.fault, self._rest = "", b""
         logger.info("link %s is open", self._device)
 
     def _lose(self, error: Exception) -> None:

@@ -4,7 +4,7 @@ from companion.types import Autopilot
 
 WANTED: dict[Autopilot, tuple[str, ...]] = {
     Autopilot.ARDUPILOT: ("GUID_TIMEOUT", "GUID_OPTIONS", "FS_OPTIONS"),
-    Autopilot.PX4: ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_OVERRIDE"),
+    Autopilot.PX4: ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_OVERRIDE", "MAN_OVERRIDE_SPD"),
 }
 _IGNORE_PILOT_YAW = 4  # bit of GUID_OPTIONS
 _CONTINUE_GUIDED_ON_RC_LOSS = 4  # bit of FS_OPTIONS
@@ -44,4 +44,7 @@ def advice(autopilot: Autopilot, parameters: dict[str, float]) -> tuple[str, ...
         found.append(
             f"COM_RC_OVERRIDE = {int(override)}: sticks do not end OFFBOARD; set 3, or rely on rc.stick_guard_us"
         )
+    speed = get("MAN_OVERRIDE_SPD")  # from 1.18 on, instead of COM_RC_OVERRIDE
+    if speed is not None and speed < 0:
+        found.append(f"MAN_OVERRIDE_SPD = {speed:g}: sticks do not end OFFBOARD; set the default, 0 or more")
     return tuple(found)

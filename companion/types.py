@@ -164,6 +164,21 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
+class Battery:
+    """What is left of the charge, per cent."""
+
+    remaining_pct: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointInForce:
+    """The velocity that the autopilot is steering by: the only sign that it has taken ours."""
+
+    time_s: float
+    velocity_ned_mps: Vector
+
+
+@dataclass(frozen=True, slots=True)
 class AutopilotText:
     """A line that the autopilot tells its operator."""
 
@@ -194,6 +209,8 @@ LinkEvent = (
     | RangeReading
     | RcChannels
     | Parameter
+    | Battery
+    | SetpointInForce
     | AutopilotText
     | ModeAnswer
     | Rebooted

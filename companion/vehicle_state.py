@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 from companion.types import (
     Attitude,
+    Battery,
     Direction,
     Heartbeat,
     HeightReading,
@@ -36,6 +37,7 @@ class VehicleState:
     forward_range: RangeReading | None = None
     down_range: RangeReading | None = None
     rc: RcChannels | None = None
+    battery: Battery | None = None
     parameters: dict[str, float] = field(default_factory=dict)
 
     def after(self, event: LinkEvent) -> "VehicleState":
@@ -59,6 +61,8 @@ class VehicleState:
                 return replace(self, down_range=event)
             case RcChannels():
                 return replace(self, rc=event)
+            case Battery():
+                return replace(self, battery=event)
             case Parameter():
                 return replace(self, parameters={**self.parameters, event.name: event.value})
             case Rebooted():
@@ -82,10 +86,14 @@ class VehicleState:
 
     def height_m(self, now_s: float) -> float | None:
         """Height above the place of take-off: as the autopilot says it, else of its local frame."""
-        if self.height is not None and now_s - self.height.time_s <= 2 * MAX_POSITION_AGE_S:
+        if self.height is not None and self.has_height(now_s):
             return self.height.height_m
         local = self.fresh_local(now_s)
         return -local.pos_ned_m[2] if local is not None else None
+
+    def has_height(self, now_s: float) -> bool:
+        """Whether the autopilot says how high it is above the place of take-off."""
+        return self.height is not None and now_s - self.height.time_s <= 2 * MAX_POSITION_AGE_S
 
     def is_over_ground(self, now_s: float) -> bool:
         """Whether a rangefinder that looks down says how high it is."""

@@ -1,3 +1,4 @@
+import math
 import socket
 import threading
 from collections.abc import Callable
@@ -8,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.capture import Capture, open_camera
+from companion.capture import Capture, captured_at, open_camera
 from companion.config import CameraConfig
 from companion.errors import CameraLostError
 from companion.frame_stream import packed_header
@@ -81,6 +82,16 @@ def test_what_is_not_there_is_one_line(source: str) -> None:
     with pytest.raises((CameraLostError, MscfError)) as lost:
         next(iter(open_camera(replace(FAST, source=source))))
     assert "\n" not in str(lost.value)
+
+
+@pytest.mark.parametrize(("driver_s", "wanted_s"), [(99.96, 99.96), (100.0, 100.0), (99.01, 99.01)])
+def test_a_drivers_own_stamp_is_the_time_of_capture(driver_s: float, wanted_s: float) -> None:
+    assert captured_at(driver_s * 1000, 100.0) == pytest.approx(wanted_s)
+
+
+@pytest.mark.parametrize("driver_ms", [0.0, -1.0, 98_999.0, 100_001.0, 1.7e12, math.inf, math.nan])
+def test_a_stamp_of_another_clock_or_none_is_not_believed(driver_ms: float) -> None:
+    assert captured_at(driver_ms, 100.0) == 100.0
 
 
 def test_a_frame_socket_that_closes_is_connected_again(tmp_path: Path) -> None:

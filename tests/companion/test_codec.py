@@ -19,6 +19,7 @@ from companion.types import (
     Attitude,
     Autopilot,
     AutopilotText,
+    Battery,
     Direction,
     FlightMode,
     Heartbeat,
@@ -33,6 +34,7 @@ from companion.types import (
     RcChannels,
     Rebooted,
     Setpoint,
+    SetpointInForce,
     Severity,
     Text,
 )
@@ -56,6 +58,16 @@ def rc_channels(*pwm_us: int) -> Any:
 
 def range_of(orientation: int, distance_cm: int) -> Any:
     return mavlink.MAVLink_distance_sensor_message(5000, 20, 4000, distance_cm, 0, 0, orientation, 255)
+
+
+def sys_status(remaining_pct: int) -> Any:
+    return mavlink.MAVLink_sys_status_message(0, 0, 0, 300, 15_000, 1500, remaining_pct, 0, 0, 0, 0, 0, 0)
+
+
+def in_force(*velocity_ned_mps: float) -> Any:
+    return mavlink.MAVLink_position_target_local_ned_message(
+        5000, 1, 1479, *[0.0] * 3, *velocity_ned_mps, *[0.0] * 4, 0.0
+    )
 
 
 def mode_answer(result: int) -> Any:
@@ -124,6 +136,10 @@ EVENTS: list[tuple[Any, list[LinkEvent]]] = [
     (range_of(0, 4000), []),
     (rc_channels(1500, 1400, 65535), [RcChannels(100.0, (1500, 1400, 0))]),
     (rc_channels(), [RcChannels(100.0, ())]),
+    (sys_status(62), [Battery(62)]),
+    (sys_status(-1), []),
+    (in_force(1.5, -0.5, 0.0), [SetpointInForce(100.0, (1.5, -0.5, 0.0))]),
+    (in_force(0.0, math.nan, 0.0), []),
     (mode_answer(0), [ModeAnswer(is_accepted=True)]),
     (mode_answer(1), [ModeAnswer(is_accepted=False)]),
     (mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0), []),

@@ -164,6 +164,10 @@ CONTRADICTIONS: list[tuple[dict[str, dict[str, object]], str]] = [
     ),
     ({"loss": {"search_after_s": 0.6}}, "loss.search_after_s = 0.6 must be 0 or above loss.hold_after_s = 0.6"),
     ({"limits": {"yaw_rate_dps": 14}}, "must not be above limits.yaw_rate_dps = 14"),
+    (
+        {"link": {"device": "/dev/serial0", "baud": 9600}},
+        "link.baud = 9600 is too slow for 20 setpoints a second: give 16250 or more, or lower loop.rate_hz",
+    ),
     ({"rc": {"switch_channel": 4}}, "must be four different channels"),
 ]
 
@@ -227,6 +231,9 @@ def test_the_focal_length_follows_from_the_angle_of_view() -> None:
         ({"camera": {"latency_ms": 300}}, []),
         ({"camera": {"latency_ms": 301}}, ["camera.latency_ms = 301"]),
         ({"loop": {"rate_hz": 19}}, ["loop.rate_hz = 19"]),
+        ({"link": {"device": "udpin:0.0.0.0:14540"}}, ["whoever reaches this port can play the autopilot"]),
+        ({"link": {"device": "udpin:127.0.0.1:14540"}}, []),
+        ({"link": {"device": "tcp:127.0.0.1:5760", "baud": 9600}}, []),
     ],
 )
 def test_what_is_likely_not_meant_is_warned_of_in_a_line(values: dict[str, dict[str, object]], said: list[str]) -> None:

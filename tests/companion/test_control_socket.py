@@ -151,16 +151,20 @@ def test_a_client_that_leaves_is_forgotten(control: ControlSocket, connect: Call
     assert control.poll() == (Engage(),)
 
 
-def test_more_clients_than_there_is_room_for_are_turned_away(
+def test_where_there_is_no_room_the_client_that_was_silent_for_longest_makes_some(
     control: ControlSocket, connect: Callable[[], socket.socket]
 ) -> None:
     ends = [connect() for _ in range(MAX_CLIENTS)]
     control.poll()
-    late = connect()
+    ends[0].sendall(b'{"do": "status"}\n')
     control.poll()
-    assert late.recv(10) == b""
-    ends[0].sendall(b'{"do": "engage"}\n')
-    assert control.poll() == (Engage(),)
+    late = connect()
+    late.sendall(b'{"do": "disengage"}\n')
+    assert control.poll() == (Disengage(),)
+    assert ends[1].recv(10) == b""
+    for end in (ends[0], *ends[2:]):
+        end.sendall(b'{"do": "engage"}\n')
+    assert control.poll() == (Engage(),) * (MAX_CLIENTS - 1)
 
 
 @given(st.lists(st.binary(max_size=200), max_size=8))

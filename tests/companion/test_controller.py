@@ -85,6 +85,16 @@ def test_without_a_height_no_vertical_speed_is_sent_and_without_the_rest_none_at
     assert sent(cockpit.run(1.5)[-1]) == ZERO
 
 
+def test_an_engagement_without_a_height_over_take_off_says_whose_height_counts() -> None:
+    cockpit = Cockpit().track()
+    cockpit.step(Engage())
+    assert not any("No height" in text for text in cockpit.texts)
+    cockpit = Cockpit()
+    cockpit.muted = {"height"}
+    cockpit.track().step(Engage())
+    assert "No height over take-off: that of local frame" in cockpit.texts
+
+
 @pytest.mark.parametrize("shift_s", [-1.0, 1.0, 1e9, math.inf, math.nan])
 def test_a_frame_from_another_time_is_none(shift_s: float) -> None:
     """One from the future would never grow old."""
@@ -107,6 +117,7 @@ NONSENSE = [
     Box(300, 225, 1e-300, 1e-300),
     Box(-1e300, -1e300, 2e300, 2e300),
     Box(1e9, 225, 40, 30),
+    Box(300, 225, 3.9, 30),  # a speck
     Box(-50, 225, 40, 30),  # its middle is outside
     Box(-1000, 0, 2640, 480),
 ]

@@ -200,7 +200,7 @@ def test_all_that_go_together_are_all_said() -> None:
 
 def test_every_reason_that_can_refuse_is_in_this_table() -> None:
     ends = {Reason.MODE_LEFT, Reason.DISARMED, Reason.LANDED, Reason.REBOOTED, Reason.LINK_SILENT, Reason.STALLED,
-            Reason.OPERATOR, Reason.DESELECTED, Reason.LOST_TOO_LONG, Reason.NOT_CONFIRMED,
+            Reason.NOT_OBEYED, Reason.OPERATOR, Reason.DESELECTED, Reason.LOST_TOO_LONG, Reason.NOT_CONFIRMED,
             Reason.OFFBOARD_NOT_SELECTED, Reason.SHUTDOWN}  # fmt: skip
     assert {reason for reason, _ in CASES.values()} == set(Reason) - ends - {Reason.LEAVING}
 

@@ -54,17 +54,17 @@ def test_a_camera_that_stalls_is_a_loss() -> None:
     assert found[Mode.HOLDING][0] == pytest.approx(0.6, abs=STEP_S)
 
 
-def test_coasting_turns_on_for_half_a_second_at_most_and_slows_down_to_a_stand() -> None:
+def test_coasting_slows_down_and_stands_half_a_second_after_the_target_was_seen_last() -> None:
     cockpit = lost(LOSS + "hold_after_s=3\nconfirm_after_s=100\n")
     last_s = cockpit.now_s - 0.02
     speeds = []
     while cockpit.now_s - last_s < 2.9:
         output = cockpit.step()
-        assert output.setpoint is not None
         if output.mode is Mode.COASTING:
             speeds.append(speed_mps(output))
-        if cockpit.now_s - last_s > 0.5 + math.radians(45) / math.radians(90):  # slewed to 0 at 90 deg/s2
-            assert output.setpoint.yaw_rate_radps == 0.0
+        if cockpit.now_s - last_s > 0.5:  # whatever the slew: what was seen so long ago is no intent any more
+            assert sent(output) == ZERO
+    assert cockpit.mode is Mode.COASTING
     assert speeds == sorted(speeds, reverse=True)
     assert speeds[0] > 0.5
     assert speeds[-1] == 0.0

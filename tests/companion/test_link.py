@@ -1,12 +1,15 @@
+import contextlib
 import os
 import socket
 import tty
 from collections.abc import Callable, Iterator
 
 import pytest
+import serial
+from pymavlink.dialects.v20 import common as mavlink
 
 from companion.errors import LinkLostError, UsageError
-from companion.link import MAX_BACKLOG, PEER_TIMEOUT_S, Link, check_device, open_port
+from companion.link import MIN_QUEUE, PEER_TIMEOUT_S, Link, check_device, open_port
 
 
 def free_port(kind: int) -> int:
@@ -70,6 +73,25 @@ def test_udpin_forgets_a_peer_that_fell_silent(udp_peer: socket.socket) -> None:
     udp_peer.settimeout(0)
     with pytest.raises(BlockingIOError):
         udp_peer.recv(100)
+    port.close()
+
+
+def test_udpout_hears_nobody_else_and_sends_each_message_once(udp_peer: socket.socket) -> None:
+    port = open_port(f"udpout:localhost:{udp_peer.getsockname()[1]}", 0)
+    port.write(b"one")
+    _, address = udp_peer.recvfrom(10)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        stranger.sendto(b"engage!", address)
+        udp_peer.sendto(b"hello", address)
+        assert until(lambda: port.read(0.0), 5) == b"hello"
+        port.write(b"two")
+        assert udp_peer.recv(10) == b"two"
+        udp_peer.settimeout(0)
+        stranger.settimeout(0)
+        for end in (udp_peer, stranger):
+            with pytest.raises(BlockingIOError):
+                end.recv(10)
     port.close()
 
 
@@ -159,30 +181,122 @@ def test_a_serial_port_that_is_pulled_out_is_lost_and_tried_again() -> None:
     assert "cannot be opened" in link.fault
 
 
-def test_a_slow_port_keeps_a_little_and_drops_whole_writes() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        link = Link(f"tcp:127.0.0.1:{server.getsockname()[1]}", 0)
-        link.read(0.0)
-        connection, _ = server.accept()
-        message = bytes(range(256)) * 16
-        written = 0
-        while not link.dropped_bytes:
-            link.write(message)
-            written += len(message)
-        assert link.dropped_bytes % len(message) == 0
-        assert written > MAX_BACKLOG
-        # what arrives is whole messages, in order
-        kept = written - link.dropped_bytes
-        connection.settimeout(0.2)
-        arrived = b""
-        while len(arrived) < kept:
-            try:
-                arrived += connection.recv(1 << 20)
-            except TimeoutError:
-                link.write(b"")
-        assert arrived == message * (kept // len(message))
-        connection.close()
-        link.close()
+def setpoint(number: int) -> bytes:
+    """A message whose time is its number."""
+    mav = mavlink.MAVLink(None)
+    numbers = number, 1, 1, 1, 1479, *[0.0] * 3, *[1.5] * 3, *[0.0] * 4, 0.25
+    return bytes(mav.set_position_target_local_ned_encode(*numbers).pack(mav))
+
+
+class SlowPort:
+    """Takes so many bytes and no more, until it is emptied."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self.taken = b""
+
+    def read(self, now_s: float) -> bytes:
+        return b""
+
+    def write(self, data: bytes) -> int:
+        part = data[: self.room]
+        self.taken += part
+        self.room -= len(part)
+        return len(part)
+
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> tuple[Link, SlowPort]:
+    port = SlowPort(0)
+    monkeypatch.setattr("companion.link.open_port", lambda *_: port)
+    link = Link("/dev/slow", 57600)
+    link.read(0.0)
+    return link, port
+
+
+@pytest.mark.parametrize("is_signed", [False, True])
+@pytest.mark.parametrize("room", [0, 1, 9, 10, 64, 65, 66, 100, 129, 130, 195])
+def test_of_what_a_slow_port_does_not_take_only_a_cut_message_is_finished(
+    slow: tuple[Link, SlowPort], room: int, *, is_signed: bool
+) -> None:
+    link, port = slow
+    messages = [setpoint(number) for number in range(4)]
+    if is_signed:
+        messages = [message[:2] + b"\x01" + message[3:] + bytes(13) for message in messages]
+    length = len(messages[0])
+    port.room = room
+    link.write(b"".join(messages[:3]))
+    port.room = 10000
+    link.write(messages[3])
+    begun = -(-room // length)
+    assert port.taken == b"".join([*messages[:begun][:3], messages[3]])
+    assert link.dropped_bytes == max(3 - begun, 0) * length
+
+
+def test_a_cut_message_may_take_many_writes_and_what_comes_meanwhile_is_dropped(slow: tuple[Link, SlowPort]) -> None:
+    link, port = slow
+    for number in range(5):
+        port.room = 15
+        link.write(setpoint(number))
+    assert port.taken == setpoint(0) + setpoint(4)[:10]
+    assert link.dropped_bytes == sum(len(setpoint(number)) for number in (1, 2, 3))
+
+
+def test_last_words_are_waited_for_and_follow_the_message_that_was_cut(slow: tuple[Link, SlowPort]) -> None:
+    link, port = slow
+    port.room = 7
+    link.write(setpoint(0))
+
+    class Emptied(SlowPort):
+        def write(self, data: bytes) -> int:
+            self.room = 20  # emptied as fast as it is filled
+            return super().write(data)
+
+    quick = Emptied(0)
+    quick.taken = port.taken
+    link._port = quick
+    link.flush(setpoint(1) + setpoint(2), patience_s=10.0)
+    assert quick.taken == setpoint(0) + setpoint(1) + setpoint(2)
+
+
+def test_last_words_do_not_wait_for_ever(slow: tuple[Link, SlowPort]) -> None:
+    link, port = slow
+    link.flush(setpoint(0), patience_s=0.02)
+    assert port.taken == b""
+
+
+def test_setpoints_do_not_queue_in_the_driver_of_a_slow_serial_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    link = Link(os.ttyname(slave), 9600)
+    link.read(0.0)
+    monkeypatch.setattr(serial.Serial, "out_waiting", MIN_QUEUE + 1)
+    link.write(setpoint(0))
+    monkeypatch.setattr(serial.Serial, "out_waiting", MIN_QUEUE)
+    link.write(setpoint(1))
+    assert os.read(master, 1000) == setpoint(1)
+    link.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_serial_port_is_read_to_the_last_byte_after_a_stall() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    link = Link(os.ttyname(slave), 115200)
+    link.read(0.0)
+    os.set_blocking(master, False)
+    written = 0
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            written += os.write(master, bytes(4096))
+    assert written > 4096  # more than one read brings
+    assert len(link.read(0.1)) == min(written, 65536)
+    link.close()
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.parametrize("device", ["/dev/does-not-exist", "/dev", "tcp:127.0.0.1:1"])

@@ -1,11 +1,13 @@
 """What ends an engagement: every way, from every mode in which setpoints flow, on both autopilots."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from cockpit import ZERO, Cockpit, brought_to, sent, speed_mps
+from cockpit import STEP_S, ZERO, Cockpit, brought_to, sent, speed_mps
 
+from companion.controller import DEAF_MPS, DEAF_S, ControlOutput
 from companion.engagement import Reason
 from companion.modes import Mode
 from companion.types import (
@@ -17,8 +19,11 @@ from companion.types import (
     Heartbeat,
     Landed,
     LandedReading,
+    LocalState,
+    Parameter,
     Rebooted,
     Select,
+    SetpointInForce,
 )
 
 STREAMING = [mode for mode in Mode if mode.is_streaming]
@@ -181,10 +186,38 @@ def test_a_failsafe_of_a_vehicle_that_still_obeys_asks_for_hold(mode: Mode) -> N
 @pytest.mark.parametrize("gap_s", [0.55, 1.5, 60.0])
 def test_a_loop_that_stalled_does_not_go_on_by_itself(gap_s: float, mode: Mode, autopilot: Autopilot) -> None:
     cockpit = brought_to(mode, autopilot)
+    is_px4 = cockpit.heartbeat.autopilot is Autopilot.PX4  # whoever asked for what: READY is PX4's alone
     cockpit.is_seen = True
     output = cockpit.step(dt_s=gap_s)
-    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, FlightMode.HOLD, ZERO)
     assert f"Follow ended: {Reason.STALLED.value}" in cockpit.texts
+    if is_px4 and gap_s > 1:  # its own time-out has run: a stream would bring OFFBOARD back, whoever flies it now
+        assert (output.mode, output.request, sent(output)) == (Mode.TRACKING, None, None)
+        assert {sent(later) for later in cockpit.run(2.0)} == {None}
+        assert Reason.RESUME_GUARD.value in cockpit.step(Engage()).texts[0].text
+        return
+    request = FlightMode.HOLD if is_px4 else None  # not before the mode of now has been heard
+    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, request, ZERO)
+    cockpit.is_seen = True
+    later = cockpit.run(1.5)
+    assert {output.mode for output in later} == {Mode.LEAVING}
+    assert {sent(output) for output in later} == {ZERO}
+    assert FlightMode.HOLD in {output.request for output in later}
+
+
+def test_px4_with_a_longer_time_out_is_stopped_by_a_loop_that_stalled() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.step(events=(Parameter("COM_OF_LOSS_T", 5.0),))
+    output = cockpit.step(dt_s=3.0)
+    assert (output.mode, output.request, sent(output)) == (Mode.LEAVING, FlightMode.HOLD, ZERO)
+
+
+def test_after_a_stall_the_pilot_who_took_an_arducopter_meanwhile_keeps_it() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.step(dt_s=3.0)  # its heartbeat has waited in the port: it is of before
+    cockpit.fly(FlightMode.PILOT)
+    outputs = cockpit.run(2.0)
+    assert {output.request for output in outputs} == {None}
+    assert cockpit.mode is Mode.TRACKING
 
 
 def test_a_loop_that_stumbles_goes_on() -> None:
@@ -199,6 +232,80 @@ def test_a_loop_that_stalled_while_the_mode_was_left_asks_for_nothing() -> None:
     cockpit.fly(FlightMode.PILOT)
     output = cockpit.step(dt_s=3.0)
     assert (output.setpoint, output.request) == (None, None)
+
+
+def in_force(cockpit: Cockpit, speed_mps: float) -> ControlOutput:
+    """A step in which the autopilot says what it steers by."""
+    return cockpit.step(events=(SetpointInForce(cockpit.now_s, (speed_mps, 0.0, 0.0)),))
+
+
+def test_an_arducopter_that_steers_by_zero_though_told_to_move_does_not_hear_us_and_is_left() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.velocity_ned_mps = (0.0, 0.0, 0.0)
+    assert speed_mps(cockpit.outputs[-1]) > DEAF_MPS
+    outputs = [in_force(cockpit, 0.0) for _ in range(40)]
+    left = next(index for index, output in enumerate(outputs) if output.mode is Mode.LEAVING)
+    assert left / 16 == pytest.approx(DEAF_S, abs=0.1)
+    assert f"Follow ended: {Reason.NOT_OBEYED.value}" in cockpit.texts
+    assert outputs[left].request is FlightMode.HOLD
+
+
+def test_an_autopilot_that_obeys_now_and_then_hears_us() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    for _ in range(4):
+        for _ in range(24):
+            in_force(cockpit, 0.0)
+        in_force(cockpit, 1.0)
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+def test_px4_leaves_offboard_by_itself_where_it_does_not_hear_us() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    for _ in range(60):
+        in_force(cockpit, 0.0)
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+def test_zero_in_force_says_nothing_while_we_stand() -> None:
+    cockpit = brought_to(Mode.HOLDING)
+    for _ in range(60):
+        in_force(cockpit, 0.0)
+    assert f"Follow ended: {Reason.NOT_OBEYED.value}" not in cockpit.texts
+
+
+def moved_frame(jump_m: float) -> tuple[Cockpit, ControlOutput, ControlOutput]:
+    """A vehicle whose local frame is moved to the north from a step on, and the outputs around it."""
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.muted = {"local"}
+    place = 0.0
+    outputs = []
+    for index in range(32):
+        place = jump_m if index >= 16 else 0.0
+        now_s = cockpit.now_s + STEP_S
+        outputs.append(cockpit.step(events=(LocalState(now_s, (place, 0.0, -14.0), (0.0, 0.0, 0.0)),)))
+    return cockpit, outputs[15], outputs[16]
+
+
+def test_a_jump_of_the_local_frame_moves_neither_the_target_nor_the_start() -> None:
+    cockpit, before, after = moved_frame(400.0)  # limits.radius_m is far less
+    assert "Local position jumped: start shifted" in cockpit.texts
+    assert before.setpoint is not None
+    assert after.setpoint is not None
+    assert math.dist(before.setpoint.velocity_ned_mps, after.setpoint.velocity_ned_mps) < 0.3
+    assert "at limits.radius_m" not in after.notes
+    last = cockpit.outputs[-1]
+    assert last.target is not None
+    place = last.target.place_ne_m(cockpit.now_s)
+    assert place is not None
+    assert place[0] == pytest.approx(400.0 + (last.target.fix.range_m if last.target.fix else 0.0), abs=5.0)
+    velocity = last.target.velocity_ne_mps
+    assert velocity is not None
+    assert math.hypot(*velocity) < 2.0  # the target did not run
+
+
+def test_a_vehicle_that_moves_is_no_jump() -> None:
+    cockpit, _, _ = moved_frame(1.9)
+    assert "Local position jumped: start shifted" not in cockpit.texts
 
 
 def test_px4_unheard_for_a_second_is_sent_nothing_as_it_may_not_hear_us_either() -> None:

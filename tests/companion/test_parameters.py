@@ -4,7 +4,7 @@ from companion.parameters import WANTED, advice
 from companion.types import Autopilot
 
 COPTER = {"GUID_TIMEOUT": 1.0, "GUID_OPTIONS": 0.0, "FS_OPTIONS": 0.0}
-PX4 = {"COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 5.0, "COM_RC_OVERRIDE": 3.0}
+PX4 = {"COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 5.0, "COM_RC_OVERRIDE": 3.0, "MAN_OVERRIDE_SPD": 1.0}
 ADVISED = {Autopilot.ARDUPILOT: COPTER, Autopilot.PX4: PX4}
 
 
@@ -30,6 +30,8 @@ def test_values_as_advised_give_no_advice_and_unknown_ones_neither(autopilot: Au
         (Autopilot.PX4, "COM_OBL_RC_ACT", 0.0, "set 5 (Hold)"),
         (Autopilot.PX4, "COM_RC_OVERRIDE", 1.0, "set 3, or rely on rc.stick_guard_us"),
         (Autopilot.PX4, "COM_RC_OVERRIDE", 2.0, None),
+        (Autopilot.PX4, "MAN_OVERRIDE_SPD", -1.0, "sticks do not end OFFBOARD"),
+        (Autopilot.PX4, "MAN_OVERRIDE_SPD", 0.0, None),
     ],
 )
 def test_a_value_that_costs_safety_is_named_with_its_mend(
@@ -46,7 +48,7 @@ def test_a_value_that_costs_safety_is_named_with_its_mend(
 
 @pytest.mark.parametrize("autopilot", Autopilot)
 def test_every_parameter_that_is_asked_for_has_a_value_that_is_advised_against(autopilot: Autopilot) -> None:
-    bad = {"COM_OBL_RC_ACT": 0.0, "COM_RC_OVERRIDE": 1.0}
+    bad = {"COM_OBL_RC_ACT": 0.0, "COM_RC_OVERRIDE": 1.0, "MAN_OVERRIDE_SPD": -1.0}
     for name in WANTED[autopilot]:
         assert advice(autopilot, {name: bad.get(name, 4.0)}), name
     assert set(WANTED[autopilot]) == set(ADVISED[autopilot])

@@ -184,6 +184,36 @@ def test_a_mode_that_the_pilot_selects_afterwards_is_a_command_too() -> None:
     assert cockpit.mode is Mode.READY
 
 
+@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.PILOT])
+def test_an_offboard_left_by_px4s_own_failsafe_is_a_gap_too_where_only_our_words_were_lost(mode: FlightMode) -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.heartbeat = replace(cockpit.heartbeat, mode=mode, has_failsafe=True)
+    cockpit.step()
+    assert cockpit.mode is Mode.TRACKING
+    cockpit.heartbeat = replace(cockpit.heartbeat, has_failsafe=False)
+    cockpit.run(0.5)
+    output = cockpit.step(Engage())
+    assert (output.request is FlightMode.HOLD) is (mode is FlightMode.HOLD)
+    assert output.setpoint is None
+    assert cockpit.mode is Mode.TRACKING
+
+
+@pytest.mark.parametrize("mode", [FlightMode.RTL, FlightMode.LAND])
+def test_a_way_home_that_nobody_here_asked_for_may_be_a_failsafe(mode: FlightMode) -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.fly(mode)
+    cockpit.run(0.5)
+    assert Reason.RESUME_GUARD.value in cockpit.step(Engage()).texts[0].text or cockpit.texts[-1] == ASKED
+
+
+def test_a_pilot_who_took_over_may_have_it_followed_again_at_once() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.fly(FlightMode.PILOT)
+    cockpit.run(0.5)
+    cockpit.step(Engage())
+    assert cockpit.mode is Mode.READY
+
+
 def test_a_failsafe_that_goes_on_to_land_is_no_command() -> None:
     cockpit = left_by_failsafe(FlightMode.HOLD)
     cockpit.fly(FlightMode.RTL)

@@ -1,10 +1,12 @@
 import pytest
 
 from companion.timing import WINDOW, Timing
+from companion.types import TrackSample
 
 
 def test_an_empty_record_has_counts_only() -> None:
-    assert Timing().summary() == {"overruns": 0, "step_late_count": 0, "capture_to_setpoint_count": 0}
+    counts = dict.fromkeys(("step_late_count", "capture_to_box_count", "capture_to_setpoint_count"), 0)
+    assert Timing().summary() == {"overruns": 0, **counts}
 
 
 def test_median_and_99th_percentile_are_in_ms() -> None:
@@ -16,6 +18,16 @@ def test_median_and_99th_percentile_are_in_ms() -> None:
     assert summary["step_late_median_ms"] == pytest.approx(1.0)
     assert summary["capture_to_setpoint_median_ms"] == pytest.approx(30.0)
     assert summary["capture_to_setpoint_p99_ms"] == pytest.approx(90.0)
+
+
+def test_each_sample_of_the_tracker_counts_once() -> None:
+    timing = Timing()
+    timing.see(None)
+    for seq in (0, 1, 1, 1, 2):
+        timing.see(TrackSample(seq, 10.0, 10.0 + 0.02 * (seq + 1), (48, 64), 0))
+    summary = timing.summary()
+    assert summary["capture_to_box_count"] == 3
+    assert summary["capture_to_box_median_ms"] == pytest.approx(40.0)
 
 
 def test_only_the_last_ten_minutes_are_kept() -> None:

@@ -247,10 +247,13 @@ def test_a_cut_link_does_not_resume_by_itself_and_a_restarted_autopilot_is_asked
     with sortie.flight.realtime.lock:
         sortie.autopilot.reboot()
     mark = sortie.wire.mark
-    sortie.until("silence", lambda _: sortie.flight.status["height_m"] is None)
+    asked_for = {mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
+    interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    sortie.until(
+        "requests for telemetry",
+        lambda _: asked_for <= {int(number) for number, _, _ in sortie.wire.commands(mark, interval)},
+    )
     sortie.until("telemetry", lambda _: sortie.flight.status["height_m"] is not None)
-    asked_for = {int(number) for number, _, _ in sortie.wire.commands(mark, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)}
-    assert {mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED} <= asked_for
 
     assert sortie.flight.process is not None
     sortie.flight.process.terminate()
