@@ -91,6 +91,7 @@ class App:
         self._control = control
         self._timing = Timing()
         self._is_ready = False
+        self._is_sent = True
         self._watchdog_s = self._status_s = float("-inf")
         self._counted, self._counted_s = 0, time.monotonic()  # samples seen by then
         self._frames_per_s = 0.0
@@ -150,8 +151,8 @@ class App:
         self._timing.see(sample)
         is_fresh = sample is not None and now_s - sample.captured_s <= MAX_HEALTHY_AGE_S and not sample.fault
         is_healthy = not self._capture.fault.value and is_fresh
-        step = self._follower.step(now_s, data, sample, commands, is_healthy=is_healthy)
-        self._link.write(step.data)
+        step = self._follower.step(now_s, data, sample, commands, is_healthy=is_healthy, is_sent=self._is_sent)
+        self._is_sent = self._link.write(step.data)
         if step.control.setpoint is not None and sample is not None:
             self._timing.add_setpoint(time.monotonic() - sample.captured_s)
         self._orders.put((step.control.selection, step.control.expected))

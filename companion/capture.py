@@ -4,6 +4,7 @@ It never gives up on a camera: one that is missing or breaks is tried again ever
 """
 
 import logging
+import math
 import os
 import socket
 import threading
@@ -112,10 +113,12 @@ def _v4l2_frames(config: CameraConfig) -> Iterator[Captured]:
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, config.height_px)
         capture.set(cv2.CAP_PROP_FPS, config.frames_per_s)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        is_stamped = False  # by the driver
         while True:
             is_grabbed = capture.grab()
-            # before decoding, which takes its time
-            captured_s = captured_at(capture.get(cv2.CAP_PROP_POS_MSEC), time.monotonic())
+            now_s = time.monotonic()  # before decoding, which takes its time
+            captured_s = captured_at(capture.get(cv2.CAP_PROP_POS_MSEC), now_s, is_trusted=is_stamped)
+            is_stamped = captured_s != now_s
             is_read, image = capture.retrieve() if is_grabbed else (False, None)
             if not is_read or image is None:
                 raise CameraLostError(f"{config.source} delivers no frames any more: was it unplugged?")
@@ -124,13 +127,14 @@ def _v4l2_frames(config: CameraConfig) -> Iterator[Captured]:
         capture.release()
 
 
-def captured_at(driver_ms: float, now_s: float) -> float:
+def captured_at(driver_ms: float, now_s: float, *, is_trusted: bool) -> float:
     """When a V4L2 frame was captured: the driver's own stamp, which is taken before the frame waits to be read.
 
-    Drivers of cameras stamp on the monotonic clock; a stamp that is no second old on it is of another clock.
+    Drivers of cameras stamp on the monotonic clock; a first stamp that is a second old on it, or more, is of another
+    clock. Once one was right, a later one that is older is a frame that has waited, and no news.
     """
-    driver_s = driver_ms / 1000
-    return driver_s if 0 <= now_s - driver_s < MAX_STAMP_AGE_S else now_s
+    age_s = now_s - driver_ms / 1000
+    return now_s - age_s if 0 <= age_s < (math.inf if is_trusted else MAX_STAMP_AGE_S) else now_s
 
 
 def _socket_frames(path: str) -> Iterator[Captured]:

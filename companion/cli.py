@@ -180,7 +180,7 @@ def _in_lines(status: dict[str, object]) -> str:
     )
     lines.append(
         f"autopilot  {status['autopilot']}, {status['flight_mode']}, armed {status['is_armed']}, "
-        f"height {status['height_m']} m"
+        f"height {status['height_m']} m, battery {status['battery_pct']} %"
     )
     return "\n".join(lines)
 

@@ -77,8 +77,8 @@ _DIRECTIONS = {
     mavlink.MAV_SENSOR_ROTATION_PITCH_270: Direction.DOWN,
 }
 ATTITUDE_HZ = 50.0
-# Hz of what we ask for
-RATES_HZ: dict[int, float] = {
+# Hz of what we ask of both
+_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
@@ -86,8 +86,13 @@ RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
     mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 10.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
 }
+
+
+def rates_hz(autopilot: Autopilot) -> dict[int, float]:
+    """Hz of what we ask for, by message; PX4 tells by its flight mode that it does not hear us."""
+    more = {mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0} if autopilot is Autopilot.ARDUPILOT else {}
+    return _RATES_HZ | more
 
 
 class _Outbox:
@@ -305,7 +310,7 @@ class MavlinkCodec:
     def send_rate_requests(self) -> None:
         """Ask for the telemetry that steering needs."""
         if self._autopilot is not None:
-            for number, rate_hz in RATES_HZ.items():
+            for number, rate_hz in rates_hz(self._autopilot[2]).items():
                 self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
 
     def send_stream_request(self) -> None:

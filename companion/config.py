@@ -17,8 +17,9 @@ from companion.errors import ConfigError
 from mscf import PRESETS
 
 FILE_NAME = "config.toml"
+MIN_CENTRE_PX = 4.0
 SETPOINT_BITS = 650  # of one on a serial line: 65 bytes, each with a start and a stop bit
-MAX_LINE_SHARE = 0.8  # of a serial line for setpoints
+MAX_LINE_SHARE = 0.25  # of a serial line for setpoints: a queue of 512 bytes is a tenth of a second old then
 MIN_RANGE_M = 3.0  # to be held horizontally; as follow.nominal_range_m
 
 
@@ -385,6 +386,13 @@ def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
             (
                 f"loss.search_yaw_rate_dps = {loss.search_yaw_rate_dps:g} must not be above limits.yaw_rate_dps = "
                 f"{limits.yaw_rate_dps:g}"
+            ),
+        ),
+        (
+            select.centre_share * camera.height_px < MIN_CENTRE_PX,
+            (
+                f"select.centre_share = {select.centre_share:g} of camera.height_px = {camera.height_px} is no "
+                f"{MIN_CENTRE_PX:g} px: nothing so small is tracked"
             ),
         ),
         (

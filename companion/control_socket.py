@@ -90,20 +90,26 @@ class ControlSocket:
 
     def poll(self) -> tuple[OperatorCommand, ...]:
         """Orders that have come in; a wrong request is answered at once."""
-        self._accept()
         commands: list[OperatorCommand] = []
         for client in list(self._clients):
-            for line in self._lines(client):
-                try:
-                    request = json.loads(line)
-                    command = command_of(request)
-                except (ValueError, RecursionError) as error:  # JSON's and ours
-                    self._send(client, {"error": str(error)})
-                    continue
-                client.is_asking, client.wants_timing = True, request["do"] == "timing"
-                if command is not None:
-                    commands.append(command)
+            commands += self._orders(client)
+        while (newcomer := self._accepted()) is not None:
+            commands += self._orders(newcomer)
         return tuple(commands)
+
+    def _orders(self, client: _Client) -> list[OperatorCommand]:
+        commands: list[OperatorCommand] = []
+        for line in self._lines(client):
+            try:
+                request = json.loads(line)
+                command = command_of(request)
+            except (ValueError, RecursionError) as error:  # JSON's and ours
+                self._send(client, {"error": str(error)})
+                continue
+            client.is_asking, client.wants_timing = True, request["do"] == "timing"
+            if command is not None:
+                commands.append(command)
+        return commands
 
     def answer(self, status: dict[str, Any], timing: Callable[[], dict[str, float]]) -> None:
         """Answer all who asked since the last step; `timing` is called for who wants it: it takes a while."""
@@ -124,16 +130,18 @@ class ControlSocket:
         self._listener.close()
         self._path.unlink(missing_ok=True)
 
-    def _accept(self) -> None:
-        while True:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:  # nobody there, or no descriptor left: later
-                return
-            if len(self._clients) >= MAX_CLIENTS:
-                self._drop(self._clients[0])  # who has been silent for longest: `disengage` must always get through
-            connection.settimeout(0)
-            self._clients.append(_Client(connection))
+    def _accepted(self) -> _Client | None:
+        """Who has connected, one at a time."""
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # nobody there, or no descriptor left: later
+            return None
+        if len(self._clients) >= MAX_CLIENTS:
+            # who has been silent for longest: `disengage` must always get through
+            self._drop(self._clients[0])
+        connection.settimeout(0)
+        self._clients.append(_Client(connection))
+        return self._clients[-1]
 
     def _lines(self, client: _Client) -> list[bytes]:
         try:

@@ -14,7 +14,17 @@ import numpy as np
 from companion.camera_model import AttitudeHistory, CameraModel, ray_to, wrapped
 from companion.config import Config
 from companion.engagement import Reason, refusals
-from companion.guidance import MAX_PREDICTION_S, Aim, Guided, Moving, follow_target, overhead, spotlight, turn
+from companion.guidance import (
+    MAX_PREDICTION_S,
+    Aim,
+    Guided,
+    Moving,
+    follow_target,
+    kept_in_view,
+    overhead,
+    spotlight,
+    turn,
+)
 from companion.modes import TRANSITIONS, Event, Mode, after
 from companion.safety import Place, SafeSetpoint, held_back_by, limit, stop
 from companion.target import (
@@ -65,13 +75,13 @@ READY_FOR_S = 20.0  # how long zero setpoints flow for a pilot who is to select 
 REQUEST_EVERY_S = 1.0  # a flight mode that does not come is asked for again
 MAX_JUMP_M = 2.0  # between two positions, beyond what velocity explains: the local frame was reset, nothing moved
 MAX_JUMP_MPS2 = 10.0  # what velocity may have changed by in between
-MIN_BOX_PX = 4.0  # smaller side of a measured box: below, it is a speck on which any filter finds itself
+MIN_BOX_PX = 3.0  # geometric mean of a measured box's sides: below, it is a speck on which any filter finds itself
+ABANDONED_S = 1.5  # after which a heartbeat is no old one that was waiting somewhere
 DEAF_S = 2.0  # for which an autopilot steers by zero while it is told to move: it does not hear
 DEAF_MPS = 0.5  # a setpoint that is less says nothing
 STREAM_GAP_S = 0.5  # without setpoints, after which PX4 (which wants more than 2 Hz) may leave OFFBOARD
 SILENCE_S = 1.0  # of the link, after which PX4 has left OFFBOARD: the default of COM_OF_LOSS_T
 NOTHING_SELECTED = Selection(0, None)
-_FLIES_ITSELF = frozenset({FlightMode.HOLD, FlightMode.RTL})  # where a request for Hold takes nothing from a pilot
 _FAILSAFE_MODES = frozenset({FlightMode.RTL, FlightMode.LAND})  # which PX4 goes on to by itself
 _MODE_OF = {"hold": FlightMode.HOLD, "rtl": FlightMode.RTL, "land": FlightMode.LAND}
 
@@ -129,6 +139,10 @@ class _State:
     is_answered: bool = False  # the last answer to a request for a mode, since then, was yes
     heard_mode: FlightMode | None = None  # of the last heartbeat
     deaf_since_s: float | None = None  # when the autopilot steered by zero for the first time, though told to move
+    left_s: float = -math.inf  # when the last setpoint was sent of which it is known that it has left
+    had_height: bool = False  # whether the autopilot said its height over take-off at engagement
+    unplaced_s: float | None = None  # since when the position is missing, engaged
+    abandoned_s: float = math.inf  # when a PX4 was left to its own time-out without a word
 
 
 class Controller:
@@ -156,6 +170,8 @@ class Controller:
         """Take one step; never raises on anything that comes from outside."""
         now_s = inputs.now_s
         self._texts, self._request = [], None
+        if inputs.is_sent:
+            self._change(left_s=self._state.sent_s)
         self._take_in(inputs.events, now_s)
         self._look(inputs.track, now_s)
         for command in (*inputs.commands, *self._from_transmitter(inputs.events, now_s)):
@@ -240,8 +256,7 @@ class Controller:
             self._override(Reason.NO_HEARTBEAT)
         elif self._is_px4() and vehicle.attitude is not None and now_s - vehicle.attitude.time_s > SILENCE_S:
             # it hears us no better: once the link is back, our stream would bring OFFBOARD back out of its failsafe
-            self._override(Reason.LINK_SILENT)
-            self._change(has_resume_guard=True, is_answered=False)
+            self._abandon(Reason.LINK_SILENT, now_s)
 
     def _hear_the_pilot(self, now_s: float) -> None:
         """End what a stick, a failsafe or a stall of ours ends while the vehicle still obeys us."""
@@ -250,29 +265,37 @@ class Controller:
         self._change(sticks=sticks)
         if self._state.mode is Mode.LEAVING and sticks.is_held:
             self._change(leave_for=FlightMode.PILOT)
-        is_ours = self._state.mode.is_engaged or self._state.mode is Mode.READY
-        if not is_ours:
+        if not self._state.mode.is_streaming:
             return
-        gap_s = now_s - self._state.sent_s
+        gap_s = now_s - self._state.left_s
+        is_leaving = self._state.mode is Mode.LEAVING
         if gap_s > STREAM_GAP_S:
             # nobody expects the vehicle to move on by itself after that; what was heard just now may have waited
             # as long as we did, and the pilot may have the vehicle since
             if self._is_px4() and gap_s > vehicle.parameters.get("COM_OF_LOSS_T", SILENCE_S):
-                self._override(Reason.STALLED)
-                self._change(has_resume_guard=True, is_answered=False)
+                self._abandon(Reason.STALLED, now_s)
                 return
-            self._leave(Reason.STALLED, FlightMode.HOLD)
+            if not is_leaving:
+                self._leave(Reason.STALLED, FlightMode.HOLD)
             if not self._is_px4():  # zero setpoints bring nobody back there: time to hear the mode first
                 self._change(asked_s=now_s)
-        elif not self._is_external():
+        elif is_leaving or not self._is_external():
             return
         elif sticks.is_held:
             self._leave(Reason.STICKS, FlightMode.PILOT)
             self._change(asked_s=now_s)  # the pilot may just have selected a mode: hear that first
         elif vehicle.heartbeat is not None and vehicle.heartbeat.has_failsafe:
             self._leave(Reason.FAILSAFE, FlightMode.HOLD)
-        elif self._state.deaf_since_s is not None and now_s - self._state.deaf_since_s >= DEAF_S:
-            self._leave(Reason.NOT_OBEYED, FlightMode.HOLD)
+        elif self._is_unplaced(now_s):
+            self._leave(Reason.NO_POSITION, FlightMode.HOLD)
+
+    def _is_unplaced(self, now_s: float) -> bool:
+        """Whether the position has been missing for so long that nobody expects the vehicle to go on by itself."""
+        state = self._state
+        is_missing = state.mode.is_engaged and state.vehicle.fresh_local(now_s) is None
+        since_s = (now_s if state.unplaced_s is None else state.unplaced_s) if is_missing else None
+        self._change(unplaced_s=since_s)
+        return since_s is not None and now_s - since_s > self._config.loss.confirm_after_s
 
     def _watch_frame(self, local: LocalState) -> None:
         """A local frame that jumps (a reset of the autopilot's estimator) takes what is kept in it along."""
@@ -305,6 +328,9 @@ class Controller:
             self._change(deaf_since_s=None)
         elif state.deaf_since_s is None:
             self._change(deaf_since_s=in_force.time_s)
+        elif in_force.time_s - state.deaf_since_s >= DEAF_S:
+            self._leave(Reason.NOT_OBEYED, FlightMode.HOLD)
+            self._change(deaf_since_s=None)
 
     def _watch_resume(self, heartbeat: Heartbeat, now_s: float) -> None:
         """PX4: a stream that resumes after a gap brings OFFBOARD back by itself, unless a mode was commanded.
@@ -321,8 +347,8 @@ class Controller:
         elif state.heard_mode is FlightMode.EXTERNAL and not is_external:
             is_requested = state.mode is Mode.LEAVING and mode is state.leave_for
             # PX4's heartbeat says CRITICAL while one of its failsafes acts: its own time-out, where we are not heard
-            is_failsafe = heartbeat.has_failsafe or mode in _FAILSAFE_MODES
-            if now_s - state.sent_s > STREAM_GAP_S or (is_failsafe and not is_requested):
+            is_failsafe = heartbeat.has_failsafe or (mode in _FAILSAFE_MODES and not is_requested)
+            if now_s - state.left_s > STREAM_GAP_S or is_failsafe:
                 self._change(has_resume_guard=True, is_answered=False)
         elif (is_changed and mode not in _FAILSAFE_MODES) or (state.is_answered and mode is FlightMode.HOLD):
             self._change(has_resume_guard=False)
@@ -333,6 +359,11 @@ class Controller:
             self._say(Severity.WARNING, f"Follow ended: {reason.value}")
             self._event(Event.OVERRIDE)
             self._change(sent=None)
+
+    def _abandon(self, reason: Reason, now_s: float) -> None:
+        """Send nothing more to a PX4 that has left OFFBOARD by its own time-out, or is about to."""
+        self._override(reason)
+        self._change(has_resume_guard=True, is_answered=False, abandoned_s=now_s)
 
     def _leave(self, reason: Reason, towards: FlightMode) -> None:
         """End by our own will: stand, and ask the autopilot for another mode until it is there."""
@@ -451,6 +482,8 @@ class Controller:
                 self._change(auto_done=True)
                 if state.mode.is_engaged or state.mode is Mode.READY:
                     self._leave(Reason.OPERATOR, FlightMode.HOLD)
+                elif self._is_external() and math.isfinite(state.abandoned_s):
+                    self._request = FlightMode.HOLD
             case Engage():
                 self._engage(now_s)
             case _:
@@ -494,8 +527,8 @@ class Controller:
             self._change(ready_until_s=now_s + READY_FOR_S, leave_for=FlightMode.HOLD, asked_s=-math.inf)
             self._event(Event.PREPARE)
             self._say(Severity.NOTICE, "Ready: select OFFBOARD, then engage")
-        elif set(against) == {Reason.WRONG_MODE, Reason.RESUME_GUARD} and state.heard_mode in _FLIES_ITSELF:
-            # never where the sticks fly: taking the vehicle from the pilot is not for us
+        elif set(against) == {Reason.WRONG_MODE, Reason.RESUME_GUARD} and state.heard_mode is FlightMode.HOLD:
+            # nowhere else: neither the sticks nor a way home that somebody chose are for us to end
             self._request = FlightMode.HOLD
             self._say(Severity.NOTICE, "Asked PX4 for Hold: engage again")
         else:
@@ -528,6 +561,7 @@ class Controller:
         )
         if not state.vehicle.has_height(now_s):
             self._say(Severity.WARNING, "No height over take-off: that of local frame")
+        self._change(had_height=state.vehicle.has_height(now_s), unplaced_s=None, abandoned_s=math.inf)
         if not state.vehicle.has_transmitter(now_s):
             self._say(Severity.WARNING, "No transmitter seen: no stick guard")
         self._say(Severity.NOTICE, f"Following ({self._config.follow.mode})")
@@ -582,7 +616,7 @@ class Controller:
             return ZERO, (Reason.NO_ATTITUDE.value,)
         if local is None:
             return ZERO, (Reason.NO_POSITION.value,)
-        if state.vehicle.heartbeat is None or now_s - state.vehicle.heartbeat.time_s > MAX_QUIET_S:
+        if self._is_quiet(now_s):
             return ZERO, ("heartbeat late",)
         if state.mode is Mode.SEARCHING:
             return Setpoint((0.0, 0.0, 0.0), self._search_rate(now_s)), ("target lost, searching",)
@@ -611,12 +645,14 @@ class Controller:
         if follow.mode == "spotlight":
             return spotlight(target, attitude, camera.mount_rpy_rad[2], now_s, moving, follow)
         if follow.mode == "follow":
-            return follow_target(target, aim, attitude, local, camera, now_s, moving, follow)
+            guided = follow_target(target, aim, attitude, local, camera, now_s, moving, follow)
+            sent = self._state.sent or stop()
+            return kept_in_view(guided, target, sent.velocity_ned_mps[:2], now_s, self._since_sent_s(now_s), follow)
         height_m = self._state.vehicle.height_over_ground_m(now_s) or 0.0
-        if aim.is_over_ground is not self._state.vehicle.is_over_ground(now_s):
-            aim = replace(
-                aim, height_m=None
-            )  # another source measures from another place: no climbing by the difference
+        is_other = aim.is_over_ground is not self._state.vehicle.is_over_ground(now_s)
+        if is_other or not self._is_height_known(now_s):
+            # another source measures from another place: no climbing by the difference
+            aim = replace(aim, height_m=None)
         return overhead(target, aim, local, height_m, now_s, moving, follow)
 
     def _search_rate(self, now_s: float) -> float:
@@ -640,13 +676,17 @@ class Controller:
         is_moving = state.mode is Mode.SEARCHING or (state.mode in {Mode.FOLLOWING, Mode.COASTING} and not is_old)
         edges: tuple[str, ...] = ()
         local, start = vehicle.fresh_local(now_s), state.engaged_at_ne_m
-        if not is_moving or vehicle.fresh_attitude(now_s) is None or local is None or start is None:
+        is_blind = vehicle.fresh_attitude(now_s) is None or self._is_quiet(now_s)
+        if not is_moving or is_blind or local is None or start is None:
             safe = stop()
         else:
-            place = Place(vehicle.height_m(now_s), (local.pos_ned_m[0] - start[0], local.pos_ned_m[1] - start[1]))
-            dt_s = now_s - state.sent_s if state.sent is not None else 1 / self._config.loop.rate_hz
+            height_m = vehicle.height_m(now_s) if self._is_height_known(now_s) else None
+            place = Place(height_m, (local.pos_ned_m[0] - start[0], local.pos_ned_m[1] - start[1]))
+            dt_s = self._since_sent_s(now_s)
             edges = held_back_by(wish, place, self._config.limits)
             safe = limit(wish, state.sent, place, self._config.limits, dt_s)
+        if state.sent is None:  # the stream begins: there was nothing that could have left
+            self._change(left_s=now_s)
         self._change(sent=safe, sent_s=now_s)
         return safe, edges
 
@@ -659,6 +699,13 @@ class Controller:
         if state.mode is Mode.LEAVING and self._is_external() and is_due and is_known:
             self._change(asked_s=now_s)
             self._request = state.leave_for
+        # its time-out is longer than was thought: it still flies on by our last word
+        is_abandoned = heartbeat is not None and heartbeat.time_s > state.abandoned_s + ABANDONED_S
+        if is_abandoned and not self._is_external():
+            self._change(abandoned_s=math.inf)
+        elif is_abandoned and is_due and not state.mode.is_streaming:
+            self._change(asked_s=now_s)
+            self._request = FlightMode.HOLD
 
     def _expected(self, now_s: float) -> Expected | None:
         """Where the target should be in a frame taken now; None without an idea, or behind the camera."""
@@ -690,6 +737,18 @@ class Controller:
         heartbeat = self._state.vehicle.heartbeat
         return heartbeat is not None and heartbeat.mode is FlightMode.EXTERNAL
 
+    def _since_sent_s(self, now_s: float) -> float:
+        """Since the last setpoint; before the first one, a period of the loop."""
+        return now_s - self._state.sent_s if self._state.sent is not None else 1 / self._config.loop.rate_hz
+
+    def _is_height_known(self, now_s: float) -> bool:
+        """Whether the height comes from where it came from at engagement."""
+        return self._state.vehicle.has_height(now_s) is self._state.had_height
+
+    def _is_quiet(self, now_s: float) -> bool:
+        heartbeat = self._state.vehicle.heartbeat
+        return heartbeat is None or now_s - heartbeat.time_s > MAX_QUIET_S
+
     def _is_px4(self) -> bool:
         heartbeat = self._state.vehicle.heartbeat
         return heartbeat is not None and heartbeat.autopilot is Autopilot.PX4
@@ -716,4 +775,10 @@ def _is_in_frame(box: Box, size_hw: tuple[int, int]) -> bool:
     """Whether a measured box can be one: its middle in the frame, no speck, at most twice the frame in size."""
     (u, v), (height, width) = box.center_xy, size_hw
     is_inside = 0 <= u <= width and 0 <= v <= height
-    return box.is_finite and is_inside and MIN_BOX_PX <= box.w <= 2 * width and MIN_BOX_PX <= box.h <= 2 * height
+    return (
+        box.is_finite
+        and is_inside
+        and 0 < box.w <= 2 * width
+        and 0 < box.h <= 2 * height
+        and box.w * box.h >= MIN_BOX_PX**2
+    )

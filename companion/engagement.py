@@ -41,7 +41,7 @@ class Reason(Enum):
     REBOOTED = "autopilot restarted"
     LINK_SILENT = "autopilot silent"
     STALLED = "control loop stalled"
-    NOT_OBEYED = "autopilot ignores our setpoints"
+    NOT_OBEYED = "autopilot stands though told to move"
     OPERATOR = "operator"
     DESELECTED = "target deselected"
     LOST_TOO_LONG = "target lost too long"

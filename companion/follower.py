@@ -18,7 +18,10 @@ from companion.types import (
     AutopilotText,
     ControlInput,
     Heartbeat,
+    HeightReading,
+    LandedReading,
     LinkEvent,
+    LocalState,
     OperatorCommand,
     Parameter,
     RcChannels,
@@ -33,6 +36,7 @@ from mscf import Box
 
 HEARTBEAT_EVERY_S = 1.0
 RATE_CHECK_EVERY_S = 5.0
+NEEDED = frozenset({LocalState, HeightReading, LandedReading, RcChannels})  # without which little can be done
 MIN_RATE_SHARE = 0.6  # of a rate that was asked for; below, it is asked for again
 TEXT_EVERY_S = 1.0  # of what is no change of state
 PARAMETER_EVERY_S = 2.0  # a parameter that does not come is asked for again, so often:
@@ -65,7 +69,7 @@ class Follower:
         self._heartbeat_s = -math.inf
         self._rates_s = math.inf  # when they were asked for; not before an autopilot is there
         self._attitudes = 0  # since then
-        self._has_rc = False  # since then
+        self._heard: set[type] = set()  # kinds of events, since then
         self._low_rates = 0  # how often in a row they stayed low
         self._parameters_s = -math.inf
         self._parameter_tries = 0
@@ -83,6 +87,7 @@ class Follower:
         commands: tuple[OperatorCommand, ...] = (),
         *,
         is_healthy: bool = True,
+        is_sent: bool = True,
     ) -> Step:
         """One period of the command loop.
 
@@ -92,10 +97,11 @@ class Follower:
         track : the newest sample there is.
         commands : of the operator, since the last step.
         is_healthy : whether camera and tracker work; the heartbeat says so.
+        is_sent : whether the port has taken the last step's bytes.
         """
         events = tuple(self._codec.receive(data, now_s))
         commands = (*self._at_start(track), *commands)
-        output = self._controller.step(ControlInput(now_s, track, events, commands))
+        output = self._controller.step(ControlInput(now_s, track, events, commands, is_sent))
         # the request first: after a gap a stream alone would bring PX4 back to OFFBOARD
         if output.request is not None:
             self._codec.send_mode_request(output.request)
@@ -144,17 +150,17 @@ class Follower:
             self._ask_rates(now_s)
             self._parameter_tries, self._read = 0, set()
         self._attitudes += sum(isinstance(event, Attitude) for event in events)
-        self._has_rc |= any(isinstance(event, RcChannels) for event in events)
+        self._heard.update(map(type, events))
         if now_s - self._rates_s >= RATE_CHECK_EVERY_S:
             wanted = ATTITUDE_HZ * (now_s - self._rates_s)
             is_low = self._attitudes < MIN_RATE_SHARE * wanted
             # a slow loop reads what a fast link brought: only the rate on the link counts
             self._low_rates = self._low_rates + 1 if is_low else 0
-            if is_low or not self._has_rc:  # one lost request for the sticks would go unnoticed
+            if is_low or not self._heard.issuperset(NEEDED):  # one request that was lost would go unnoticed
                 self._ask_rates(now_s)
                 if self._low_rates > 1:
                     self._codec.send_stream_request()
-            self._rates_s, self._attitudes, self._has_rc = now_s, 0, False
+            self._rates_s, self._attitudes, self._heard = now_s, 0, set()
         self._ask_parameters(events, now_s)
 
     def _ask_rates(self, now_s: float) -> None:

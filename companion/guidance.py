@@ -21,11 +21,15 @@ MAX_HEIGHT_SHARE = 0.7  # of the box in the frame
 MAX_FOOT_SHARE = 0.9  # of the box's lower edge, down a frame taken at level attitude
 MAX_FOOT_DEPRESSION_RAD = math.radians(80.0)  # the same for a camera so steep that its frame reaches past the nadir
 BACK_OFF_MPS = 1.5
+NOTED_EXCESS_MPS = 1.0  # of a wish; less is not worth a word
+HEAD_RESERVE_RAD = math.radians(3.0)  # of the frame above the target's box
+LEAN_MPS2_PER_RAD = 0.5 * 9.81  # half of what leaning by an angle gives: the rest is for wind and drag
 
 
 class Caution(Enum):
     """Why guidance wishes less than the law says; the values are for the operator."""
 
+    LEANING = "leaning, keeping the target in view"
     TURN_FIRST = "target aside, turning first"
     RANGE_CONFLICT = "range sources disagree, no approach"
     RANGE_UNKNOWN = "no range, keeping the size"
@@ -143,6 +147,39 @@ def follow_target(
         down_mps = min(down_mps, 0.0)  # sinking is an approach, too
     wish = Setpoint((speed_mps * ahead[0], speed_mps * ahead[1], down_mps), yaw_rate_radps)
     return Guided(wish, Moving(is_turning, is_ranging), tuple(cautions))
+
+
+def kept_in_view(
+    guided: Guided,
+    target: TargetEstimate,
+    before_ne_mps: tuple[float, float],
+    now_s: float,
+    dt_s: float,
+    follow: FollowConfig,
+) -> Guided:
+    """The wish with a speed ahead that grows only while there is room in the frame above the target.
+
+    A vehicle leans forward to gain speed and to keep it, and a fixed camera with it: a target that leaves the frame is
+    lost, and braking for it and catching up again would go on for ever.
+
+    Parameters
+    ----------
+    before_ne_mps : the last setpoint's. dt_s : since then.
+    """
+    north_mps, east_mps, down_mps = guided.wish.velocity_ned_mps
+    bearing_rad = target.bearing_at(now_s, follow.yaw_feed_forward)
+    ahead = math.cos(bearing_rad), math.sin(bearing_rad)
+    along_mps = north_mps * ahead[0] + east_mps * ahead[1]
+    before_mps = before_ne_mps[0] * ahead[0] + before_ne_mps[1] * ahead[1]
+    gain_mps = LEAN_MPS2_PER_RAD * (target.seen.head_room_rad - HEAD_RESERVE_RAD) * dt_s
+    excess_mps = along_mps - max(before_mps + gain_mps, 0.0)
+    if along_mps <= 0 or excess_mps <= 0:
+        return guided
+    wish = Setpoint(
+        (north_mps - excess_mps * ahead[0], east_mps - excess_mps * ahead[1], down_mps), guided.wish.yaw_rate_radps
+    )
+    cautions = (*guided.cautions, Caution.LEANING) if excess_mps > NOTED_EXCESS_MPS else guided.cautions
+    return Guided(wish, guided.moving, cautions)
 
 
 def overhead(

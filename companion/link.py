@@ -6,10 +6,13 @@ clock and keeps a global connection, none of which the command loop can bear.
 
 import contextlib
 import errno
+import fcntl
 import logging
 import os
 import socket
 import stat
+import sys
+import termios
 import time
 from pathlib import Path
 from typing import Protocol
@@ -21,7 +24,8 @@ from companion.errors import LinkLostError, UsageError
 logger = logging.getLogger(__name__)
 RETRY_S = 1.0
 MAX_QUEUE_S = 0.1  # of data that waits in a serial port's driver; more would be old when it leaves
-MIN_QUEUE = 512  # bytes that may wait there in any case: as much as one step can write
+MIN_QUEUE = 512  # bytes that may wait there in any case, and in a TCP connection: what one step may write
+MAX_PEERS = 8
 PEER_TIMEOUT_S = 10.0  # after which a silent UDP client is written to no more
 _READ_SIZE = 65536
 _MOST_PACKETS = 1000  # at a read: empty ones never fill it
@@ -31,7 +35,10 @@ _SCHEMES = ("udpin", "udpout", "tcp", "tcpin")
 
 
 class Port(Protocol):
-    """An open port; no call blocks, and reads and writes raise OSError where it is broken."""
+    """An open port; no call blocks, and reads and writes raise OSError where it is broken.
+
+    Opening looks a host's name up, which may take a while: on a vehicle, give numbers.
+    """
 
     def read(self, now_s: float) -> bytes: ...
     def write(self, data: bytes) -> int: ...
@@ -62,7 +69,10 @@ class _UdpServer:
             except ConnectionRefusedError:  # ICMP's answer to what was sent before: nobody listens any more
                 continue
             data += packet
+            self._peers.pop(peer, None)  # the last one is the latest to have spoken
             self._peers[peer] = now_s
+            if len(self._peers) > MAX_PEERS:
+                del self._peers[next(iter(self._peers))]
         self._peers = {peer: seen_s for peer, seen_s in self._peers.items() if now_s - seen_s < PEER_TIMEOUT_S}
         return data
 
@@ -70,7 +80,7 @@ class _UdpServer:
         for peer in self._peers:
             try:
                 self._socket.sendto(data, peer)
-            except (BlockingIOError, ConnectionRefusedError):
+            except OSError:  # full, not there, no way to it: the others are to hear it all the same
                 continue
         return len(data)
 
@@ -135,22 +145,25 @@ class _TcpPort:
                     self._socket.close()  # a client that comes back replaces what is left of itself
                 self._socket = connection
                 _prepare_tcp(connection)
-        if self._socket is None:
-            return b""
-        try:
-            data = self._socket.recv(_READ_SIZE)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._drop()
+        data = b""
+        while self._socket is not None and len(data) < _READ_SIZE:  # to the last byte, as a serial port is
+            try:
+                part = self._socket.recv(_READ_SIZE)
+            except BlockingIOError:
+                break
+            except OSError:
+                part = b""
+            if not part:
+                self._drop()
+            data += part
         return data
 
     def write(self, data: bytes) -> int:
         if self._socket is None:
             return len(data)
         try:
+            if _queued(self._socket) > MIN_QUEUE:
+                return 0
             return self._socket.send(data)
         except BlockingIOError:
             return 0
@@ -200,6 +213,11 @@ def _udp() -> socket.socket:
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.settimeout(0)
     return end
+
+
+def _queued(end: socket.socket) -> int:
+    """Bytes that were sent and not yet acknowledged."""
+    return int.from_bytes(fcntl.ioctl(end, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
 def _prepare_tcp(connection: socket.socket) -> None:
@@ -274,7 +292,7 @@ class Link:
             self._lose(error)
             return b""
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
         """Send what the port takes; of the rest, only that of a message that was cut is kept.
 
         A setpoint that waited would be old when it leaves, and the next one follows in a period of the loop.
@@ -282,9 +300,15 @@ class Link:
         Parameters
         ----------
         data : whole MAVLink 2 messages.
+
+        Returns
+        -------
+        Whether no message was dropped.
         """
-        if self._port is None or not (data or self._rest):
-            return
+        if self._port is None:
+            return not data
+        if not (data or self._rest):
+            return True
         waiting = self._rest + data
         sent = self._send(waiting)
         end = len(self._rest)
@@ -292,6 +316,7 @@ class Link:
             end += _length(waiting, end)
         self._rest = waiting[sent:end]
         self.dropped_bytes += len(waiting) - end
+        return self._port is not None and end == len(waiting)
 
     def flush(self, data: bytes, patience_s: float) -> None:
         """Send last words, every one; waits for the port, `patience_s` at most."""

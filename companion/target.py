@@ -63,6 +63,7 @@ class Measurement:
 
     bearing_rad : on earth. azimuth_rad, depression_rad : in the level frame, of the box's middle.
     foot_depression_rad : of the middle of the edge that is lower on earth: a camera may hang upside down.
+    head_room_rad : from the other edge up to the border of the frame: what the vehicle may still lean towards it.
     ray_ned : unit vector towards the middle.
     is_size_valid : whether the box lies in the frame, but for one edge at most.
     off_nose_rad : from the body's forward axis to the middle.
@@ -74,6 +75,7 @@ class Measurement:
     azimuth_rad: float
     depression_rad: float
     foot_depression_rad: float
+    head_room_rad: float
     ray_ned: Real64
     is_size_valid: bool
     off_nose_rad: float
@@ -84,9 +86,16 @@ def measure(camera: CameraModel, box: Box, attitude: Attitude, time_s: float) ->
     center_u = box.x + box.w / 2 - 0.5
     ray_frd = camera.ray_frd((center_u, box.y + box.h / 2 - 0.5))
     middle = direction(ray_frd, attitude)
-    edges_v = box.y - 0.5, box.y + box.h - 0.5
-    foot_depression_rad = max(direction(camera.ray_frd((center_u, v)), attitude).depression_rad for v in edges_v)
     height, width = camera.size_hw
+
+    def depression_rad(v: float) -> float:
+        return direction(camera.ray_frd((center_u, v)), attitude).depression_rad
+
+    # each edge of the box with the border of the frame that it is next to, the upper one on earth first
+    (head_rad, border_rad), (foot_rad, _) = sorted(
+        (depression_rad(v), depression_rad(border_v))
+        for v, border_v in ((box.y - 0.5, -0.5), (box.y + box.h - 0.5, height - 0.5))
+    )
     edges = (
         box.x <= _EDGE_PX,
         box.y <= _EDGE_PX,
@@ -107,7 +116,8 @@ def measure(camera: CameraModel, box: Box, attitude: Attitude, time_s: float) ->
         middle.bearing_rad,
         middle.azimuth_rad,
         middle.depression_rad,
-        foot_depression_rad,
+        foot_rad,
+        head_rad - border_rad,
         ray_ned,
         sum(edges) < 2,
         math.acos(min(max(float(ray_frd[0]), -1.0), 1.0)),

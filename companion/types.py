@@ -270,6 +270,7 @@ class ControlInput:
     track: TrackSample | None  # the newest there is, new or not
     events: tuple[LinkEvent, ...] = ()  # since the last step
     commands: tuple[OperatorCommand, ...] = ()  # since the last step
+    is_sent: bool = True  # whether the port has taken what the last step wanted to send
 
 
 @dataclass(frozen=True, slots=True)

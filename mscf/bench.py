@@ -33,6 +33,7 @@ STAGE_ENDS = {
     "threat_window": "threat",
     "threat_maxima": "threat",
     "threat": "threat",
+    "confidence": "confidence",
     "pos_rc": "peak",
     "scale_features_detect": "scale samples (detection)",
     "scale_response": "scale response",
@@ -47,7 +48,7 @@ STAGE_ENDS = {
     "scale_numerator_f": "scale training",
     "scale_denominator": "scale training",
 }
-LAST_STAGE = "confidence"
+LAST_STAGE = "result"
 FLATNESS_UPDATES = 40
 FLATNESS_CASES = (("720p, 40 px", 720, 1280, 40), ("4K, 40 px", 2160, 3840, 40), ("720p, 400 px", 720, 1280, 400))
 

@@ -177,6 +177,7 @@ class Tracker:
         evidence = Evidence.of(response)
         history = state.history.after(evidence)
         sure = confidence(evidence, history)
+        probe("confidence", np.array(sure))
 
         if is_hidden(peak, state, self._config):
             after = replace(state, frame_index=state.frame_index + 1, history=history, held=state.held + 1)

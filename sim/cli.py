@@ -1,11 +1,10 @@
 """Command `mscf-companion sim`: flies scenarios and reports on them."""
 
 import argparse
-import functools
 import shlex
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,6 +15,8 @@ import cv2
 from companion.errors import UsageError
 from companion.link import check_device
 from mscf.recording import VideoFile
+from sim.autopilot import Personality
+from sim.external import ExternalAutopilot
 from sim.eyes import RenderedEyes
 from sim.film import Film
 from sim.loop import Watcher
@@ -27,13 +28,11 @@ from sim.stages import stage
 from sim.trace import Trace
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
 EXIT_FAILED = 1
+EXTERNAL_BAUD = 115200  # where it is on a serial port
 STEPS_PER_S = 20  # moments a second, and frames of the video
-
-
-_Flown = tuple[Trace, tuple[Verdict, ...], Kind, dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +40,9 @@ class _Task:
     """One flight to be made; picklable."""
 
     scenario: str
-    autopilot: str
-    folder: Path
+    autopilot: str  # which fake one; an external one says itself what it is
+    out: Path
+    kind: Kind
     command: str
     seed: int
     link: str | None  # of a run in real time; None: virtual time
@@ -61,8 +61,10 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
         "Exit status 1 where a check fails.",
     )
     sim.add_argument("scenario", nargs="*", metavar="SCENARIO", help=f"see --list, or all (default: {DEMO})")
-    sim.add_argument("--list", action="store_true", help="list the scenarios and their checks")
-    sim.add_argument("--autopilot", choices=AUTOPILOTS, action="append", help="may be repeated (default: ardupilot)")
+    sim.add_argument("--list", action="store_true", help="list the scenarios")
+    sim.add_argument(
+        "--autopilot", choices=AUTOPILOTS, action="append", help="fake one; may be repeated (default: ardupilot)"
+    )
     sim.add_argument("--out", type=Path, default=Path("out/sim"), metavar="DIR", help="default: %(default)s")
     sim.add_argument("--duration", type=float, metavar="S", help="in place of the scenario's")
     sim.add_argument("--no-video", action="store_true", help="for measuring: encoding takes its share of the machine")
@@ -73,7 +75,11 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
     )
     sim.add_argument("--link", choices=KINDS, default="udp", help="of --realtime (default: %(default)s)")
     sim.add_argument("--external", metavar="LINK", help="a real autopilot's SITL in the fake one's place")
-    sim.add_argument("--arm", action="store_true", help="with --external: arm, take off and land by command")
+    sim.add_argument(
+        "--arm",
+        action="store_true",
+        help="with --external: arm, take off, select flight modes and land by command; else somebody else does",
+    )
     sim.set_defaults(run=_run)
 
 
@@ -95,13 +101,19 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--duration {arguments.duration:g} must be 5..3600 seconds")
     if arguments.external:
         check_device(arguments.external)
+        if arguments.autopilot:
+            raise UsageError("--autopilot is for the fake ones: the one at --external says itself what it is")
+        for name in names:
+            if SCENARIOS[name].moves_sticks:
+                raise UsageError(f"{name} moves the pilot's sticks: it cannot be flown with --external")
     autopilots = list(dict.fromkeys(arguments.autopilot or ["ardupilot"]))
     kind: Kind = "external" if arguments.external else "real time" if arguments.realtime else "virtual time"
     tasks = [
         _Task(
             name,
             autopilot,
-            arguments.out / folder_name(name, autopilot, kind),
+            arguments.out,
+            kind,
             shlex.join(["mscf-companion", *sys.argv[1:]]),
             arguments.seed,
             arguments.link if arguments.realtime else None,
@@ -136,13 +148,14 @@ def _flown(tasks: list[_Task], jobs: int) -> list[Run]:
 
 
 def _print(task: _Task, run: Run) -> None:
+    folder = task.out / run.folder_name
     print(f"{'PASSED' if run.is_passed else 'FAILED'}    {run.scenario}, {run.autopilot}, {run.kind}")
     for verdict in run.verdicts:
         if not verdict.is_passed:
             print(f"          {verdict.name}: {verdict.measured}, wanted {verdict.wanted}")
     if task.has_video:
-        print(f"video     {task.folder / FILM}")
-    print(f"page      {task.folder / PAGE}", flush=True)
+        print(f"video     {folder / FILM}")
+    print(f"page      {folder / PAGE}", flush=True)
 
 
 def _fly(task: _Task) -> Run:
@@ -151,22 +164,20 @@ def _fly(task: _Task) -> Run:
     scenario = SCENARIOS[task.scenario]
     if task.duration_s is not None:
         scenario = replace(scenario, duration_s=task.duration_s)
-    place = stage(scenario.stage, 7 + task.seed)
-    prepare_folder(task.folder)
-    if task.has_video:
-        radius_m = scenario.config(place).limits.radius_m
-        film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind, radius_m=radius_m)
-        with VideoFile(task.folder / FILM, STEPS_PER_S) as video:
-            trace, verdicts, kind, facts = _made(
-                task, scenario, lambda moment, image: video.write(film.frame(moment, image))
-            )
-    else:
-        trace, verdicts, kind, facts = _made(task, scenario, None)
+    with ExitStack() as stack:
+        external = stack.enter_context(closing(_external(task))) if task.external is not None else None
+        if external is not None:
+            external.connect()
+            task = replace(task, autopilot=_name(external.personality))
+        folder = task.out / folder_name(task.scenario, task.autopilot, task.kind)
+        prepare_folder(folder)
+        watch = stack.enter_context(_filmed(task, scenario, folder)) if task.has_video else None
+        trace, verdicts, facts = _made(task, scenario, external, watch, folder)
     run = Run(
         scenario=scenario.name,
         description=scenario.description,
         autopilot=task.autopilot,
-        kind=kind,
+        kind=task.kind,
         command=task.command,
         seed=task.seed,
         trace=trace,
@@ -174,24 +185,40 @@ def _fly(task: _Task) -> Run:
         acts=scenario.acts,
         facts=facts,
     )
-    write_run(run, task.folder)
+    write_run(run, folder)
     return run
 
 
+@contextmanager
+def _filmed(task: _Task, scenario: Scenario, folder: Path) -> "Iterator[Watcher]":
+    """What makes the film of a flight."""
+    place = stage(scenario.stage, 7 + task.seed)
+    radius_m = scenario.config(place).limits.radius_m
+    film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind, radius_m=radius_m)
+    with VideoFile(folder / FILM, STEPS_PER_S) as video:
+        yield lambda moment, image: video.write(film.frame(moment, image))
+
+
+def _external(task: _Task) -> ExternalAutopilot:
+    assert task.external is not None
+    return ExternalAutopilot(task.external, EXTERNAL_BAUD, _say, is_ours=task.arms)
+
+
+def _say(text: str) -> None:
+    print("external ", text, flush=True)
+
+
+def _name(kind: type[Personality]) -> str:
+    return next(name for name, personality in AUTOPILOTS.items() if personality is kind)
+
+
 def _made(
-    task: _Task, scenario: Scenario, watch: Watcher | None
-) -> tuple[Trace, tuple[Verdict, ...], Kind, dict[str, Any]]:
-    """Trace, verdicts, kind and further facts of a flight."""
-    if task.external is not None:
-        say: Callable[[str], None] = functools.partial(print, "external ", flush=True)
-        trace, verdicts, facts = fly_external(
-            scenario, task.external, arms=task.arms, seed=task.seed, watcher=watch, say=say, folder=task.folder
-        )
-        return trace, verdicts, "external", facts
+    task: _Task, scenario: Scenario, external: ExternalAutopilot | None, watch: Watcher | None, folder: Path
+) -> tuple[Trace, tuple[Verdict, ...], dict[str, Any]]:
+    """Trace, verdicts and further facts of a flight."""
+    if external is not None:
+        return fly_external(scenario, external, seed=task.seed, watcher=watch, say=_say, folder=folder)
     if task.link is not None:
-        trace, verdicts, facts = fly_in_real_time(
-            scenario, task.autopilot, task.link, seed=task.seed, watcher=watch, folder=task.folder
-        )
-        return trace, verdicts, "real time", facts
+        return fly_in_real_time(scenario, task.autopilot, task.link, seed=task.seed, watcher=watch, folder=folder)
     trace, verdicts = fly(scenario, task.autopilot, RenderedEyes, seed=task.seed, watcher=watch)
-    return trace, verdicts, "virtual time", {}
+    return trace, verdicts, {}

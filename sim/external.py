@@ -46,12 +46,15 @@ class ExternalAutopilot:
     Parameters
     ----------
     device : of the link, in the application's notation.
-    say : is told what is waited for.
+    say : is told what is waited for, and what somebody else has to do.
+    is_ours : whether it is flown by command: armed, its modes selected, landed. Else somebody else does all that.
     """
 
-    def __init__(self, device: str, baud: int, say: Callable[[str], None]) -> None:
+    def __init__(self, device: str, baud: int, say: Callable[[str], None], *, is_ours: bool) -> None:
+        self.is_ours = is_ours
         self._link = Link(device, baud)
         self._say = say
+        self._wished_mode = ""
         self._port = BytesIO()
         self._mav = mavlink.MAVLink(self._port, GCS_SYSTEM, GCS_COMPONENT)
         self._parser = mavlink.MAVLink(None)
@@ -134,7 +137,12 @@ class ExternalAutopilot:
         return data
 
     def select_mode(self, name: str) -> bool:
-        """Ask for a flight mode, as a ground station does."""
+        """Ask for a flight mode, as a ground station does; where it is not ours, ask whoever flies it."""
+        if not self.is_ours:
+            if name != self._wished_mode:
+                self._say(f"select {name} now")
+            self._wished_mode = name
+            return False
         number = self.personality.MODES[name]
         if self.personality is Px4:
             self._command(mavlink.MAV_CMD_DO_SET_MODE, 1, number >> 16 & 255, number >> 24 & 255)

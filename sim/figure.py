@@ -124,7 +124,7 @@ def _draw(panels: "Sequence[Axes]", trace: Trace) -> None:
     confidence.set(ylabel="confidence,\nthreat", ylim=(0, 1.05))
 
     age.plot(time_s, 1000 * _known([m.frame_age_s for m in moments]), "o", color="tab:blue", ms=1.5)
-    age.set(ylabel="frame age\n(ms)", ylim=(0, None))
+    age.set(ylabel="latency: age of the\nnewest frame (ms)", ylim=(0, None))
 
 
 def rates(time_s: Real64, values: Real64, *, turn: float | None = None) -> Real64:

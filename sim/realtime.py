@@ -368,57 +368,51 @@ def fly_in_real_time(
 
 def fly_external(
     scenario: Scenario,
-    device: str,
+    autopilot: ExternalAutopilot,
     *,
-    arms: bool,
     seed: int = 0,
     watcher: Watcher | None = None,
     say: Callable[[str], None],
     folder: Path,
 ) -> tuple[Trace, tuple[Verdict, ...], dict[str, Any]]:
-    """As `fly_in_real_time`, with a real autopilot on a link in the fake one's place.
+    """As `fly_in_real_time`, with a real autopilot in the fake one's place.
 
     Parameters
     ----------
-    arms : whether to arm, take off and land by command; else somebody else flies it up.
-    say : is told what is waited for.
+    autopilot : connected; where it is ours it takes off and lands by command, else somebody else flies it.
+    say : is told when the flight begins.
 
     Raises
     ------
     LinkLostError
-        If the autopilot is not heard, or does not take off.
+        If the autopilot does not take off.
     """
     place = stage(scenario.stage, 7 + seed)
-    autopilot = ExternalAutopilot(device, 115200, say)
+    height_m = -place.start.pos_ned_m[2]
     try:
-        autopilot.connect()
-        height_m = -place.start.pos_ned_m[2]
-        try:
-            if arms:
-                autopilot.take_off(height_m)
-            else:
-                autopilot.wait_airborne(height_m)
-            autopilot.lay_out(place.start)
-            say(f"flying {scenario.name}")
-            with tempfile.TemporaryDirectory() as temporary:
-                flight = Flight(
-                    scenario,
-                    place,
-                    autopilot,
-                    autopilot.personality,
-                    "udp",
-                    Path(temporary),
-                    extra_latency_ms=VIEW_DELAY_S * 1000,
-                )
-                try:
-                    return _flown(flight, watcher)
-                finally:
-                    _keep(Path(temporary), folder)
-        finally:
-            if arms and autopilot.is_armed:  # whatever went wrong: what was sent up comes down
-                autopilot.land()
+        if autopilot.is_ours:
+            autopilot.take_off(height_m)
+        else:
+            autopilot.wait_airborne(height_m)
+        autopilot.lay_out(place.start)
+        say(f"flying {scenario.name}")
+        with tempfile.TemporaryDirectory() as temporary:
+            flight = Flight(
+                scenario,
+                place,
+                autopilot,
+                autopilot.personality,
+                "udp",
+                Path(temporary),
+                extra_latency_ms=VIEW_DELAY_S * 1000,
+            )
+            try:
+                return _flown(flight, watcher)
+            finally:
+                _keep(Path(temporary), folder)
     finally:
-        autopilot.close()
+        if autopilot.is_ours and autopilot.is_armed:  # whatever went wrong: what was sent up comes down
+            autopilot.land()
 
 
 def _flown(flight: Flight, watcher: Watcher | None) -> tuple[Trace, tuple[Verdict, ...], dict[str, Any]]:

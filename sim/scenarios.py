@@ -123,6 +123,11 @@ class Scenario:
     confirms: bool = False  # the operator confirms a target that was found again late
     engages: bool = True
 
+    @property
+    def moves_sticks(self) -> bool:
+        """Whether it needs the pilot's transmitter."""
+        return any(act.do is _sticks for act in self.acts)
+
     def config(self, place: Stage) -> Config:
         """Configuration of the application in this scenario."""
         camera = place.camera

@@ -64,6 +64,7 @@ class Cockpit:
         self.box = AHEAD
         self.confidence = 0.9
         self.muted: set[str] = set()
+        self.is_sent = True  # whether the port takes what it is given
         self.inputs: list[ControlInput] = []
         self.outputs: list[ControlOutput] = []
         self._sample: TrackSample | None = None
@@ -89,7 +90,7 @@ class Cockpit:
         self.now_s += dt_s
         if "frames" not in self.muted:
             self._sample = self._seen()
-        return self.put(ControlInput(self.now_s, self._sample, (*events, *self._said()), commands))
+        return self.put(ControlInput(self.now_s, self._sample, (*events, *self._said()), commands, self.is_sent))
 
     def put(self, inputs: ControlInput) -> ControlOutput:
         """Hand any input to the controller."""

@@ -129,8 +129,8 @@ def test_only_a_multicopter_is_right(
 # ------------------------------------------------------------------------------------------------ the signs
 SIGNS = {
     "spotlight": ("turn left", "turn right", "stand", "stand", "stand", "stand"),
-    "follow": ("turn left", "turn right", "", "", "back", "forward"),
-    "overhead": ("left", "right", "forward", "back", "", ""),
+    "follow": ("turn left", "turn right", "forward", "back", "back", "forward"),
+    "overhead": ("left", "right", "forward", "back", "stand", "stand"),
 }
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.codec import RATES_HZ, MavlinkCodec
+from companion.codec import MavlinkCodec, rates_hz
 from companion.config import LimitsConfig
 from companion.safety import Place, SafeSetpoint, limit, stop
 from companion.types import (
@@ -378,7 +378,7 @@ def test_every_wanted_message_is_asked_for_at_its_interval() -> None:
     codec, _ = paired()
     codec.send_rate_requests()
     asked = {int(message.param1): message.param2 for message in parsed(codec.drain())}
-    assert asked == pytest.approx({number: 1e6 / rate_hz for number, rate_hz in RATES_HZ.items()})
+    assert asked == pytest.approx({number: 1e6 / hz for number, hz in rates_hz(codec.autopilot).items()})
     assert (asked[30], asked[32], asked[65]) == (20_000, 50_000, 100_000)
 
 

@@ -164,9 +164,10 @@ CONTRADICTIONS: list[tuple[dict[str, dict[str, object]], str]] = [
     ),
     ({"loss": {"search_after_s": 0.6}}, "loss.search_after_s = 0.6 must be 0 or above loss.hold_after_s = 0.6"),
     ({"limits": {"yaw_rate_dps": 14}}, "must not be above limits.yaw_rate_dps = 14"),
+    ({"select": {"centre_share": 0.01}, "camera": {"height_px": 360}}, "nothing so small is tracked"),
     (
         {"link": {"device": "/dev/serial0", "baud": 9600}},
-        "link.baud = 9600 is too slow for 20 setpoints a second: give 16250 or more, or lower loop.rate_hz",
+        "link.baud = 9600 is too slow for 20 setpoints a second: give 52000 or more, or lower loop.rate_hz",
     ),
     ({"rc": {"switch_channel": 4}}, "must be four different channels"),
 ]

@@ -167,6 +167,17 @@ def test_where_there_is_no_room_the_client_that_was_silent_for_longest_makes_som
     assert control.poll() == (Engage(),) * (MAX_CLIENTS - 1)
 
 
+def test_an_order_that_was_written_before_the_crowd_came_is_heard(
+    control: ControlSocket, connect: Callable[[], socket.socket]
+) -> None:
+    first = connect()
+    control.poll()
+    first.sendall(b'{"do": "disengage"}\n')
+    for _ in range(MAX_CLIENTS):
+        connect()
+    assert control.poll() == (Disengage(),)
+
+
 @given(st.lists(st.binary(max_size=200), max_size=8))
 def test_no_bytes_make_it_raise(tmp_path_factory: pytest.TempPathFactory, chunks: list[bytes]) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "c.sock"

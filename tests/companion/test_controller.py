@@ -41,11 +41,11 @@ OVERHEAD = CAMERA.replace("mount_pitch_deg=-30", "mount_pitch_deg=-90") + '[foll
 
 
 # ------------------------------------------------------------------------------------------------ freshness
-@pytest.mark.parametrize(("name", "age_s"), [("attitude", 0.3), ("local", 0.5)])
+@pytest.mark.parametrize(("name", "age_s"), [("attitude", 0.3), ("local", 0.5), ("heartbeat", 2.0)])
 def test_an_input_that_grows_old_stops_the_vehicle_and_its_return_moves_it_again(name: str, age_s: float) -> None:
     cockpit = brought_to(Mode.FOLLOWING)
     cockpit.muted = {name}
-    outputs = cockpit.run(2.0)
+    outputs = cockpit.run(2.5)
     is_late = [k * STEP_S > age_s for k in range(1, len(outputs) + 1)]
     assert [sent(output) == ZERO for output in outputs] == is_late
     assert outputs[-1].notes != ()
@@ -117,7 +117,7 @@ NONSENSE = [
     Box(300, 225, 1e-300, 1e-300),
     Box(-1e300, -1e300, 2e300, 2e300),
     Box(1e9, 225, 40, 30),
-    Box(300, 225, 3.9, 30),  # a speck
+    Box(300, 225, 2.9, 3.1),  # a speck
     Box(-50, 225, 40, 30),  # its middle is outside
     Box(-1000, 0, 2640, 480),
 ]
@@ -379,3 +379,18 @@ def test_a_sample_without_a_target_leaves_it_idle() -> None:
     controller = Controller(parse(FOLLOW))
     sample = TrackSample(0, 1.0, 1.0, SIZE_HW, 0, TrackStatus.TRACKING, is_measured=True, box=AHEAD, confidence=1.0)
     assert controller.step(ControlInput(1.0, sample)).mode is Mode.IDLE
+
+
+@pytest.mark.parametrize("had_height", [True, False])
+def test_a_height_that_comes_from_another_source_than_at_engagement_moves_nothing_up_or_down(
+    had_height: bool,  # noqa: FBT001 - a table
+) -> None:
+    cockpit = Cockpit(OVERHEAD.replace('"overhead"', '"overhead"\nvertical_gain_per_s=0.5'))
+    cockpit.muted = set() if had_height else {"height"}
+    cockpit.track().step(Engage())
+    cockpit.height_m = 18.0
+    assert any(output.setpoint and output.setpoint.velocity_ned_mps[2] > 0.1 for output in cockpit.run(2.0))
+    cockpit.muted = {"height"} if had_height else set()
+    outputs = cockpit.run(3.0)[20:]  # the last word is believed for a second
+    assert {output.setpoint.velocity_ned_mps[2] for output in outputs if output.setpoint} == {0.0}
+    assert cockpit.mode is Mode.FOLLOWING

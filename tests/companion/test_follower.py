@@ -8,11 +8,11 @@ import pytest
 from cockpit import AHEAD, FOLLOW, SIZE_HW
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.codec import RATES_HZ
+from companion.codec import rates_hz
 from companion.config import parse
 from companion.follower import Follower, Step
 from companion.modes import Mode
-from companion.types import Disengage, Engage, Select, TrackSample
+from companion.types import Autopilot, Disengage, Engage, Select, TrackSample
 from mscf import TrackStatus
 
 COPTER, PX4 = 3, 12
@@ -34,7 +34,7 @@ class Link:
         self.booted_k = -1000  # the step in which it was switched on
         self.is_there = True
         self.attitude_every = 1  # steps
-        self.has_rc = True
+        self.missing = ""  # a kind of message that does not come
         self.values: dict[str, float] = {}
         self.is_tracked = True
         self.steps: list[Step] = []
@@ -98,14 +98,14 @@ class Link:
             messages.append(mavlink.MAVLink_heartbeat_message(2, self.autopilot, 0x81, self.mode, 4, 3))
         if self.k % self.attitude_every == 0:
             messages += [mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0)] * 3  # as 50 Hz and more
-        if self.has_rc:
-            messages.append(mavlink.MAVLink_rc_channels_message(boot_ms, 4, *[1500] * 4, *[0xFFFF] * 14, 255))
+        messages.append(mavlink.MAVLink_rc_channels_message(boot_ms, 4, *[1500] * 4, *[0xFFFF] * 14, 255))
         messages.append(mavlink.MAVLink_local_position_ned_message(boot_ms, 0, 0, -14, 0, 0, 0))
+        messages.append(mavlink.MAVLink_global_position_int_message(boot_ms, 0, 0, 0, 14000, 0, 0, 0, 0))
         for name in self._asked:
             if name in self.values:
                 messages.append(mavlink.MAVLink_param_value_message(name.encode(), self.values[name], 9, 3, 0))
         self._asked.clear()
-        return b"".join(bytes(message.pack(self._out)) for message in messages)
+        return b"".join(bytes(message.pack(self._out)) for message in messages if message.get_type() != self.missing)
 
 
 def test_a_heartbeat_leaves_at_once_and_then_every_second_whatever_happens() -> None:
@@ -137,13 +137,14 @@ def test_telemetry_is_asked_for_with_the_first_heartbeat_and_not_again_while_it_
     link.is_there = True
     link.run(30.0)
     asked = [m for _, m in link.of("COMMAND_LONG")]
-    assert [int(m.param1) for m in asked] == [*RATES_HZ]
+    assert [int(m.param1) for m in asked] == [*rates_hz(Autopilot.ARDUPILOT)]
     assert {m.command for m in asked} == {511}
 
 
-def test_sticks_that_do_not_come_are_asked_for_again() -> None:
+@pytest.mark.parametrize("kind", ["RC_CHANNELS", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE"])
+def test_what_does_not_come_at_all_is_asked_for_again(kind: str) -> None:
     link = Link()
-    link.has_rc = False
+    link.missing = kind
     link.run(21.0)
     assert [b - a for a, b in pairwise(link.asked_rates())] == pytest.approx([5.0] * 4, abs=0.11)
     assert not link.of("REQUEST_DATA_STREAM")
@@ -169,7 +170,9 @@ def test_after_a_reboot_everything_is_asked_for_again_and_nothing_is_followed() 
     link.run(4.0)
     link.booted_k = link.k
     messages = link.run(2.0)
-    assert len([m for m in messages if m.get_type() == "COMMAND_LONG" and m.command == 511]) == len(RATES_HZ)
+    assert len([m for m in messages if m.get_type() == "COMMAND_LONG" and m.command == 511]) == len(
+        rates_hz(Autopilot.ARDUPILOT)
+    )
     assert {m.param_id for m in messages if m.get_type() == "PARAM_REQUEST_READ"} == set(VALUES)
     assert not [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
 

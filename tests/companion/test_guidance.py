@@ -17,12 +17,13 @@ from companion.guidance import (
     Guided,
     Moving,
     follow_target,
+    kept_in_view,
     overhead,
     spotlight,
     turn,
 )
 from companion.target import SIZE_TAU_S, Measurement, RangeFix, Rate, TargetEstimate
-from companion.types import ZERO, Attitude, LocalState
+from companion.types import ZERO, Attitude, LocalState, Setpoint
 from mscf import Box
 
 steady = settings(max_examples=200, deadline=None, database=None, derandomize=True)
@@ -34,13 +35,17 @@ CAMERA = CameraModel((720, 1280), 900.0, (), (0.0, math.radians(-25), 0.0))
 
 
 def measured(
-    bearing_deg: float = 0.0, depression_deg: float = 30.0, height_px: float = 100.0, time_s: float = NOW_S
+    bearing_deg: float = 0.0,
+    depression_deg: float = 30.0,
+    height_px: float = 100.0,
+    time_s: float = NOW_S,
+    room_rad: float = 10.0,  # more than a vehicle can lean
 ) -> Measurement:
     bearing_rad, depression_rad = math.radians(bearing_deg), math.radians(depression_deg)
     flat = math.cos(depression_rad)
     ray = np.array([flat * math.cos(bearing_rad), flat * math.sin(bearing_rad), math.sin(depression_rad)])
     box = Box(600, 300, 40, height_px)
-    return Measurement(time_s, box, bearing_rad, 0.0, depression_rad, depression_rad, ray, True, 0.0)  # noqa: FBT003
+    return Measurement(time_s, box, bearing_rad, 0.0, depression_rad, depression_rad, room_rad, ray, True, 0.0)  # noqa: FBT003
 
 
 def target_at(
@@ -447,6 +452,7 @@ targets = st.builds(
         angles,
         st.floats(-math.pi / 2, math.pi / 2),
         st.floats(-math.pi / 2, math.pi / 2),
+        angles,
         st.just(np.array([1.0, 0.0, 0.0])),
         st.booleans(),
         st.floats(0, math.pi),
@@ -468,6 +474,36 @@ follows = st.builds(
 movings = st.builds(Moving, st.booleans(), st.booleans())
 
 
+# ------------------------------------------------------------------------------------------ the frame's border
+def wish_of(speed_mps: float, bearing_deg: float = 0.0) -> Guided:
+    b = math.radians(bearing_deg)
+    return Guided(Setpoint((speed_mps * math.cos(b), speed_mps * math.sin(b), 0.3), 0.2), Moving())
+
+
+@pytest.mark.parametrize("bearing_deg", [0, 70, -160])
+@pytest.mark.parametrize(
+    ("room_deg", "before_mps", "wish_mps", "kept_mps"),
+    [
+        (3.0, 2.0, 4.0, 2.0),  # the reserve is reached: no faster
+        (23.0, 2.0, 4.0, 2.0 + 9.81 / 2 * math.radians(20) * 0.1),
+        (0.0, 2.0, 4.0, 2.0 - 9.81 / 2 * math.radians(3) * 0.1),  # slower, to lean less
+        (-30.0, 0.1, 4.0, 0.0),  # never backwards for that
+        (40.0, 2.0, 2.1, 2.1),  # enough room for so little
+        (0.0, 2.0, 1.5, 1.5),
+        (0.0, -1.0, -3.0, -3.0),  # backing off is not hindered
+    ],
+)
+def test_the_speed_ahead_grows_only_while_there_is_room_above_the_target(
+    bearing_deg: float, room_deg: float, before_mps: float, wish_mps: float, kept_mps: float
+) -> None:
+    seen = measured(bearing_deg, room_rad=math.radians(room_deg))
+    before = wish_of(before_mps, bearing_deg).wish.velocity_ned_mps[:2]
+    kept = kept_in_view(wish_of(wish_mps, bearing_deg), target_at(bearing_deg, seen=seen), before, NOW_S, 0.1, FOLLOW)
+    assert along(kept, bearing_deg) == pytest.approx((kept_mps, 0.0), abs=1e-9)
+    assert (kept.wish.velocity_ned_mps[2], kept.wish.yaw_rate_radps) == (0.3, 0.2)
+    assert (Caution.LEANING in kept.cautions) is (wish_mps - kept_mps > 1.0)
+
+
 @steady
 @given(targets, aims, angles, locals_, st.floats(-1.57, 0.8), angles, movings, follows)
 def test_no_finite_input_gives_a_wish_that_is_not_finite_or_an_approach_against_the_rules(
@@ -484,6 +520,7 @@ def test_no_finite_input_gives_a_wish_that_is_not_finite_or_an_approach_against_
     camera = CameraModel((720, 1280), 900.0, (), (0.0, mount_pitch_rad, mount_yaw_rad))
     looked = spotlight(target, attitude, mount_yaw_rad, NOW_S, moving, follow)
     kept = follow_target(target, aim, attitude, local, camera, NOW_S, moving, follow)
+    kept = kept_in_view(kept, target, (1.0, -1.0), NOW_S, 0.05, follow)
     hung = overhead(target, aim, local, 20.0, NOW_S, moving, follow)
     for guided in (looked, kept, hung):
         assert np.isfinite([*guided.wish.velocity_ned_mps, guided.wish.yaw_rate_radps]).all()

@@ -9,7 +9,7 @@ import serial
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.errors import LinkLostError, UsageError
-from companion.link import MIN_QUEUE, PEER_TIMEOUT_S, Link, check_device, open_port
+from companion.link import MAX_PEERS, MIN_QUEUE, PEER_TIMEOUT_S, Link, check_device, open_port
 
 
 def free_port(kind: int) -> int:
@@ -242,6 +242,63 @@ def test_a_cut_message_may_take_many_writes_and_what_comes_meanwhile_is_dropped(
         link.write(setpoint(number))
     assert port.taken == setpoint(0) + setpoint(4)[:10]
     assert link.dropped_bytes == sum(len(setpoint(number)) for number in (1, 2, 3))
+
+
+def test_setpoints_do_not_queue_in_a_tcp_connection_that_nobody_reads() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = Link(f"tcp:127.0.0.1:{server.getsockname()[1]}", 0)
+        link.read(0.0)
+        connection, _ = server.accept()
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        was_taken = [link.write(setpoint(number)) for number in range(5000)]
+        assert not was_taken[-1]
+        assert link.dropped_bytes > 0
+        connection.settimeout(5.0)
+        waiting = len(setpoint(0)) * sum(was_taken)
+        assert len(until(lambda: connection.recv(1 << 20), waiting)) == waiting
+        while not link.write(setpoint(7)):  # acknowledged a little later
+            pass
+        assert connection.recv(100) == setpoint(7)
+        connection.close()
+        link.close()
+
+
+def test_one_peer_that_cannot_be_reached_does_not_keep_the_others_from_hearing(udp_peer: socket.socket) -> None:
+    number = free_port(socket.SOCK_DGRAM)
+    link = Link(f"udpin:127.0.0.1:{number}", 0)
+    link.read(0.0)
+    udp_peer.sendto(b"hello", ("127.0.0.1", number))
+    until(lambda: link.read(1.0), 5)
+    peers = link._port._peers  # type: ignore[union-attr]
+    link._port._peers = {("255.255.255.255", 9): 1.0, **peers}  # type: ignore[union-attr]  # EACCES, like ENETUNREACH
+    assert link.write(b"setpoint")
+    assert udp_peer.recv(100) == b"setpoint"
+    assert not link.fault
+    link.close()
+
+
+def test_a_crowd_of_peers_does_not_grow_and_the_latest_are_kept() -> None:
+    number = free_port(socket.SOCK_DGRAM)
+    port = open_port(f"udpin:127.0.0.1:{number}", 0)
+    ends = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(MAX_PEERS + 4)]
+    for end in ends:
+        end.sendto(b"x", ("127.0.0.1", number))
+        until(lambda: port.read(1.0), 1)
+    port.write(b"setpoint")
+    for end in ends:
+        end.settimeout(0)
+    heard = [end for end in ends if b"setpoint" in _received(end)]
+    assert heard == ends[4:]
+    for end in ends:
+        end.close()
+    port.close()
+
+
+def _received(end: socket.socket) -> bytes:
+    try:
+        return end.recv(100)
+    except BlockingIOError:
+        return b""
 
 
 def test_last_words_are_waited_for_and_follow_the_message_that_was_cut(slow: tuple[Link, SlowPort]) -> None:

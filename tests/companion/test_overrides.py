@@ -213,9 +213,9 @@ def test_px4_with_a_longer_time_out_is_stopped_by_a_loop_that_stalled() -> None:
 
 def test_after_a_stall_the_pilot_who_took_an_arducopter_meanwhile_keeps_it() -> None:
     cockpit = brought_to(Mode.FOLLOWING)
-    cockpit.step(dt_s=3.0)  # its heartbeat has waited in the port: it is of before
+    outputs = [cockpit.step(dt_s=3.0)]  # its heartbeat has waited in the port: it is of before
     cockpit.fly(FlightMode.PILOT)
-    outputs = cockpit.run(2.0)
+    outputs += cockpit.run(2.0)
     assert {output.request for output in outputs} == {None}
     assert cockpit.mode is Mode.TRACKING
 
@@ -248,6 +248,13 @@ def test_an_arducopter_that_steers_by_zero_though_told_to_move_does_not_hear_us_
     assert left / 16 == pytest.approx(DEAF_S, abs=0.1)
     assert f"Follow ended: {Reason.NOT_OBEYED.value}" in cockpit.texts
     assert outputs[left].request is FlightMode.HOLD
+
+
+def test_one_zero_alone_says_nothing() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    in_force(cockpit, 0.0)
+    cockpit.run(5.0)
+    assert cockpit.mode is Mode.FOLLOWING
 
 
 def test_an_autopilot_that_obeys_now_and_then_hears_us() -> None:
@@ -303,8 +310,20 @@ def test_a_jump_of_the_local_frame_moves_neither_the_target_nor_the_start() -> N
     assert math.hypot(*velocity) < 2.0  # the target did not run
 
 
-def test_a_vehicle_that_moves_is_no_jump() -> None:
+def test_a_small_step_is_no_jump() -> None:
     cockpit, _, _ = moved_frame(1.9)
+    assert "Local position jumped: start shifted" not in cockpit.texts
+
+
+def test_a_vehicle_that_moves_is_no_jump() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    cockpit.muted = {"local"}
+    start_s = cockpit.now_s
+    for _ in range(5):
+        cockpit.run(0.375)
+        now_s = cockpit.now_s + STEP_S  # 0.44 s after the last one: 4.4 m away, 4.8 m at the first
+        place = 10.0 * (now_s - start_s)
+        cockpit.step(events=(LocalState(now_s, (place, 0.0, -14.0), (10.0, 0.0, 0.0)),))
     assert "Local position jumped: start shifted" not in cockpit.texts
 
 
@@ -316,7 +335,7 @@ def test_px4_unheard_for_a_second_is_sent_nothing_as_it_may_not_hear_us_either()
     assert {output.setpoint for output in outputs[17:]} == {None}
     assert f"Follow ended: {Reason.LINK_SILENT.value}" in cockpit.texts
     cockpit.muted = set()
-    cockpit.fly(FlightMode.RTL)
+    cockpit.fly(FlightMode.HOLD)
     cockpit.run(0.5)
     cockpit.step(Engage())  # a stream now would bring OFFBOARD back by itself
     assert cockpit.outputs[-1].request is FlightMode.HOLD
@@ -329,10 +348,80 @@ def test_px4_that_is_heard_again_at_once_after_the_silence_may_have_left_by_fail
     cockpit.run(1.0625)
     assert cockpit.mode is Mode.TRACKING
     cockpit.muted = set()
-    cockpit.fly(FlightMode.RTL)
+    cockpit.fly(FlightMode.HOLD)
     cockpit.run(0.25)
     output = cockpit.step(Engage())
     assert (output.request, output.setpoint) == (FlightMode.HOLD, None)
+
+
+@pytest.mark.parametrize("gap_s", [0.55, 3.0])
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_stall_while_leaving_takes_nothing_from_a_pilot_who_came_meanwhile(
+    autopilot: Autopilot, gap_s: float
+) -> None:
+    cockpit = brought_to(Mode.LEAVING, autopilot)
+    cockpit.run(1.5)  # a request is due again
+    output = cockpit.step(dt_s=gap_s)  # the heartbeat that is read now was sent before
+    is_gone = autopilot is Autopilot.PX4 and gap_s > 1
+    if gap_s > 1 or autopilot is Autopilot.ARDUPILOT:
+        assert output.request is None
+    assert sent(output) == (None if is_gone else ZERO)
+    cockpit.fly(FlightMode.PILOT)
+    assert {output.request for output in cockpit.run(3.0)} == {None}
+    assert not cockpit.mode.is_streaming
+
+
+def test_px4_that_still_obeys_long_after_a_stall_is_asked_to_hold_without_a_stream() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.step(dt_s=3.0)  # nobody could read COM_OF_LOSS_T, and it is longer
+    assert cockpit.mode is Mode.TRACKING
+    outputs = cockpit.run(1.4)
+    assert {output.request for output in outputs} == {None}
+    outputs = cockpit.run(2.0)
+    assert [output.request for output in outputs].count(FlightMode.HOLD) == 2
+    assert {output.setpoint for output in outputs} == {None}
+    cockpit.fly(FlightMode.HOLD)
+    assert {output.request for output in cockpit.run(3.0)} == {None}
+
+
+def test_the_operator_can_have_it_held_at_once() -> None:
+    cockpit = brought_to(Mode.FOLLOWING, Autopilot.PX4)
+    cockpit.step(dt_s=3.0)
+    output = cockpit.step(Disengage())
+    assert (output.request, output.setpoint) == (FlightMode.HOLD, None)
+
+
+def test_px4_in_offboard_that_was_never_ours_is_asked_for_nothing() -> None:
+    cockpit = Cockpit(autopilot=Autopilot.PX4).track()
+    outputs = [cockpit.step(Disengage()), *cockpit.run(5.0)]
+    assert {output.request for output in outputs} == {None}
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_setpoints_that_the_port_does_not_take_are_a_stall(autopilot: Autopilot) -> None:
+    cockpit = brought_to(Mode.FOLLOWING, autopilot)
+    cockpit.is_sent = False
+    cockpit.run(0.25)
+    assert cockpit.mode is Mode.FOLLOWING
+    cockpit.run(0.5)
+    assert f"Follow ended: {Reason.STALLED.value}" in cockpit.texts
+    cockpit.is_sent = True
+    cockpit.run(0.5)
+    assert not cockpit.mode.is_engaged
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_position_that_was_away_for_long_does_not_move_the_vehicle_when_it_is_back(autopilot: Autopilot) -> None:
+    cockpit = brought_to(Mode.FOLLOWING, autopilot)
+    cockpit.muted = {"local"}
+    cockpit.run(2.5)
+    assert cockpit.mode is Mode.FOLLOWING
+    outputs = cockpit.run(2.0)
+    assert cockpit.mode is Mode.LEAVING
+    assert f"Follow ended: {Reason.NO_POSITION.value}" in cockpit.texts
+    assert FlightMode.HOLD in {output.request for output in outputs}
+    cockpit.muted = set()
+    assert {sent(output) for output in cockpit.run(2.0)} == {ZERO}
 
 
 def test_arducopter_unheard_for_a_second_is_told_to_stand_and_followed_on() -> None:

@@ -1,5 +1,6 @@
 """The command `mscf-companion` as processes of its own, on the ground: what it says, and with which status it ends."""
 
+import json
 import os
 import re
 import resource
@@ -23,11 +24,12 @@ from companion.frame_stream import packed_header
 from sim.camera import observe
 from sim.realtime import fake_autopilot
 from sim.scenarios import SCENARIOS
-from sim.server import CameraServer, RealTime, UdpEnd
+from sim.server import CameraServer, RealTime, TcpEnd, UdpEnd
 from sim.stages import stage
 
 COMPANION = str(Path(sys.executable).with_name("mscf-companion"))
 DEADLINE_S = 40.0  # of every wait: far beyond what a busy machine needs
+FLIGHT_S = 240.0  # of a short flight with pictures
 END_S = 10.0  # in which systemd wants a service to have ended
 CAMERA = "[camera]\nwidth_px = 320\nheight_px = 240\nfocal_px = 277\nmount_pitch_deg = -30\n"
 
@@ -60,9 +62,9 @@ def start(folder: Path) -> Iterator[Start]:
         process.communicate()
 
 
-def ended(*words: str, **environ: str) -> subprocess.CompletedProcess[str]:
+def ended(*words: str, limit_s: float = DEADLINE_S, **environ: str) -> subprocess.CompletedProcess[str]:
     command, env = [COMPANION, *words], os.environ | environ
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=DEADLINE_S, env=env)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=limit_s, env=env)
 
 
 def written(folder: Path, text: str) -> str:
@@ -162,6 +164,9 @@ def test_a_device_that_is_none_is_a_wrong_configuration(folder: Path, key: str, 
         (["ctl", "select", "1,2,3"], "not a box"),
         (["ctl", "fly"], "invalid choice: 'fly'"),
         (["sim", "nosuch"], "unknown scenario 'nosuch'"),
+        (["sim", "--external", "tcp:127.0.0.1:1", "--autopilot", "px4"], "says itself what it is"),
+        (["sim", "sticks", "--external", "tcp:127.0.0.1:1"], "cannot be flown with --external"),
+        (["sim", "--arm"], "--arm needs --external"),
         (["fly"], "invalid choice: 'fly'"),
         ([], "COMMAND"),
     ],
@@ -187,6 +192,74 @@ def test_a_check_without_the_camera_fails(folder: Path) -> None:
     done = ended("check", "-c", written(folder, f'source = "unix:{folder}/none"'), "--camera")
     assert done.returncode == 1
     assert re.search(r"^camera +FAILED: .*none cannot be connected", done.stdout, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["--autopilot", "px4"], "straight-px4"),
+        (["--realtime", "--no-video", "--link", "tcp"], "straight-ardupilot-real-time"),
+    ],
+)
+def test_a_flight_in_the_simulator_passes_and_leaves_its_report(tmp_path: Path, words: list[str], name: str) -> None:
+    done = ended("sim", "straight", "--duration", "22", "--out", str(tmp_path), *words, limit_s=FLIGHT_S)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "PASSED    straight" in done.stdout
+    folder = tmp_path / name
+    assert f"page      {folder / 'index.html'}" in done.stdout
+    assert {path.name for path in folder.iterdir()} >= {"index.html", "plots.png", "trace.csv", "verdict.json"}
+    verdict = json.loads((folder / "verdict.json").read_text())
+    assert (verdict["passed"], verdict["scenario"]) == (True, "straight")
+    assert len(verdict["checks"]) >= 3
+    if "--no-video" in words:
+        assert "video" not in done.stdout
+        assert "exit_status" in verdict["facts"]
+        assert (folder / "application.log").is_file()
+    else:
+        assert f"video     {folder / 'flight.mp4'}" in done.stdout
+        frames = cv2.VideoCapture(str(folder / "flight.mp4"))
+        assert frames.get(cv2.CAP_PROP_FRAME_COUNT) == pytest.approx(22 * 20, abs=25)
+
+
+@pytest.fixture
+def px4_device() -> Iterator[str]:
+    """A PX4 that somebody has flown up, behind a TCP port, as its SITL is."""
+    autopilot = fake_autopilot(SCENARIOS["straight"], stage("straight", 7), "px4")
+    end, stop = TcpEnd(), threading.Event()
+
+    def serve() -> None:
+        before_s = time.monotonic()
+        while not stop.is_set():
+            autopilot.receive(end.read())
+            now_s = time.monotonic()
+            end.write(autopilot.step(now_s - before_s))
+            before_s = now_s
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield end.device
+    stop.set()
+    thread.join()
+    end.close()
+
+
+def test_with_a_sitl_in_its_place_the_report_carries_the_autopilots_own_name(px4_device: str, tmp_path: Path) -> None:
+    words = ["--external", px4_device, "--duration", "8", "--no-video", "--out", str(tmp_path)]
+    done = ended("sim", "straight", *words, limit_s=FLIGHT_S)
+    assert "flying straight" in done.stdout
+    assert "select OFFBOARD now" in done.stdout  # nobody does: nothing follows, and the checks fail
+    assert done.returncode == 1
+    assert "FAILED    straight, px4, external" in done.stdout
+    assert (tmp_path / "straight-px4-external" / "verdict.json").is_file()
+
+
+def test_check_reads_what_matters_from_px4_and_advises(px4_device: str, folder: Path) -> None:
+    done = ended("check", "-c", written(folder, f'[link]\ndevice = "{px4_device}"'), "--link")
+    assert done.returncode == 0, done.stdout
+    assert "px4, AUTO.LOITER, armed" in done.stdout
+    for line in ("COM_OF_LOSS_T = 1\n", "COM_OBL_RC_ACT = 0\n", "COM_RC_OVERRIDE = 1\n", "ADVICE: COM_OBL_RC_ACT = 0"):
+        assert line in done.stdout
 
 
 # ------------------------------------------------------------------------------------------------ both ends

@@ -23,7 +23,7 @@ DEADLINE_S = 40.0  # of every wait: far beyond what a busy machine needs
 END_S = 10.0  # in which systemd wants a service to have ended
 SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
 BRAKE, HOLD = (1, 17, 0), (1, 4, 3)  # parameters of DO_SET_MODE
-TARGET_MPS = 2.0  # slow: it is still in sight of a vehicle that stood for a while
+TARGET_MPS = 2.0  # it is still in sight of a vehicle that stood for a while
 
 # a clock that jumps by a day as soon as a file is there
 JUMPING_CLOCK = """
@@ -78,9 +78,10 @@ class Wire:
 class Sortie:
     """A flight, step by step: the operator selects and engages, the test does the rest."""
 
-    def __init__(self, autopilot: str, link: str, folder: Path) -> None:
-        scenario = replace(SCENARIOS["straight"], confirms=True)
+    def __init__(self, autopilot: str, link: str, folder: Path, name: str) -> None:
+        scenario = replace(SCENARIOS[name], confirms=True)
         place = small(stage(scenario.stage, 7))
+        place = slow(place) if name == "straight" else place
         self.autopilot = fake_autopilot(scenario, place, autopilot)
         self.flight = Flight(scenario, place, self.autopilot, AUTOPILOTS[autopilot], link, folder)
         self.wire = self.flight.realtime.end = Wire(self.flight.realtime.end)
@@ -145,10 +146,15 @@ class Sortie:
 
 
 def small(place: Stage) -> Stage:
-    """A stage that costs little to render, with a slow target."""
+    """A stage that costs little to render."""
     camera = replace(place.camera, size_hw=(240, 320), focal_px=place.camera.focal_px / 2)
+    return replace(place, camera=camera)
+
+
+def slow(place: Stage) -> Stage:
+    """A stage whose target does not get far."""
     target = replace(place.target, motion=replace(place.target.motion, speeds=((0.0, TARGET_MPS),)))
-    return replace(place, camera=camera, world=replace(place.world, target=target))
+    return replace(place, world=replace(place.world, target=target))
 
 
 @pytest.fixture
@@ -157,8 +163,8 @@ def take_off() -> Iterator[Callable[[str, str], Sortie]]:
     with tempfile.TemporaryDirectory() as folder:
         sorties: list[Sortie] = []
 
-        def start(autopilot: str, link: str) -> Sortie:
-            sortie = Sortie(autopilot, link, Path(folder))
+        def start(autopilot: str, link: str, name: str = "straight") -> Sortie:
+            sortie = Sortie(autopilot, link, Path(folder), name)
             sorties.append(sortie)
             sortie.flight.start_application()
             sortie.flight.begin()
@@ -321,6 +327,43 @@ def test_a_stopped_application_that_goes_on_does_not_bring_px4_back_to_offboard(
     assert is_zero(sortie.wire.setpoints(mark))
     assert moments[-1].mode in {"tracking", "lost"}
 
+
+def test_a_killed_application_leaves_px4_to_its_failsafe_and_comes_back_without_moving_it(
+    take_off: Callable[[str, str], Sortie],
+) -> None:
+    sortie = take_off("px4", "udp")
+    sortie.until_it_follows_and_moves()
+
     assert sortie.flight.process is not None
     sortie.flight.process.kill()
     sortie.flight.process.wait()
+    sortie.until("PX4's failsafe", lambda moment: moment.flight_mode == "POSCTL")
+    sortie.until_it_stands()
+    mark = sortie.wire.mark
+    sortie.flight.start_application()
+    moments = sortie.watch(4.0)
+    assert {moment.flight_mode for moment in moments} == {"POSCTL"}
+    assert {moment.mode for moment in moments} == {"idle"}
+    assert sortie.wire.setpoints(mark) == []
+    assert sortie.wire.commands(mark, mavlink.MAV_CMD_DO_SET_MODE) == []
+    sortie.select()
+    sortie.flight.commands.append(Engage())
+    refused = sortie.until("an answer", lambda moment: bool(moment.texts))
+    assert "select Hold first" in refused.texts[0]  # who starts in the air cannot know of the gap
+
+
+def test_a_target_that_hides_is_lost_held_for_found_again_and_followed(
+    take_off: Callable[[str, str, str], Sortie],
+) -> None:
+    sortie = take_off("ardupilot", "tcp", "occlusion")
+    sortie.until_it_follows_and_moves()
+    sortie.until("a hold while it hides", lambda moment: moment.mode == "holding")
+    held = sortie.flight.moments[-1]
+    assert held.visible_share < 0.5
+    mark = sortie.wire.mark
+    sortie.until("it again", lambda moment: moment.mode == "following" and moment.visible_share > 0.9)
+    assert is_zero(sortie.wire.setpoints(mark)[:3])
+    moments = sortie.watch(5.0)
+    assert moments[-1].mode == "following"
+    assert (moments[-1].iou or 0.0) > 0.3
+    assert moments[-1].speed_mps > 1.0

@@ -4,12 +4,14 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from sim.autopilot import FakeAutopilot, Start
+from sim.external import ExternalAutopilot
 from sim.realtime import fly_external
 from sim.scenarios import AUTOPILOTS, SCENARIOS
 from sim.server import STEP_S, TcpEnd
@@ -80,7 +82,9 @@ def test_it_arms_takes_off_follows_and_lands(serve: Callable[[FakeAutopilot], Si
     autopilot = FakeAutopilot(AUTOPILOTS[name], start=GROUND)
     autopilot.step(BOOT_S)
     sitl = serve(autopilot)
-    trace, _, facts = fly_external(SHORT, sitl.end.device, arms=True, say=sitl.say, folder=tmp_path)
+    with closing(ExternalAutopilot(sitl.end.device, 115200, sitl.say, is_ours=True)) as external:
+        external.connect()
+        trace, _, facts = fly_external(SHORT, external, say=sitl.say, folder=tmp_path)
     assert facts["exit_status"] == 0
     assert trace.moments[-1].mode == "following"
     assert trace.moments[-1].speed_mps > 1.0
@@ -115,7 +119,9 @@ def test_without_arming_it_waits_for_the_pilot_and_leaves_the_landing_to_him(
             autopilot.set_sticks()
             autopilot.select_mode("GUIDED")
 
-    trace, _, facts = fly_external(SHORT, sitl.end.device, arms=False, say=pilot, folder=tmp_path)
+    with closing(ExternalAutopilot(sitl.end.device, 115200, pilot, is_ours=False)) as external:
+        external.connect()
+        trace, _, facts = fly_external(SHORT, external, say=pilot, folder=tmp_path)
     assert facts["exit_status"] == 0
     assert trace.first("following") is not None
     assert "LAND" not in sitl.modes

@@ -1,3 +1,4 @@
+import contextlib
 import math
 import socket
 from collections.abc import Callable, Iterator
@@ -42,7 +43,7 @@ class Served:
         self.said: list[str] = []
         self._listener = socket.create_server(("127.0.0.1", 0))
         device = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
-        self.autopilot = ExternalAutopilot(device, 115200, self.said.append)
+        self.autopilot = ExternalAutopilot(device, 115200, self.said.append, is_ours=True)
         self.autopilot.step(0.0)
         self.port, _ = self._listener.accept()
 
@@ -146,6 +147,22 @@ def test_a_link_that_breaks_is_said(served: Served, monkeypatch: pytest.MonkeyPa
     served.port.close()
     with pytest.raises(LinkLostError, match=r"in vain: tcp:.* broke"):
         served.autopilot.connect()
+
+
+def test_the_modes_of_one_that_somebody_else_flies_are_asked_for_in_words_once(
+    heard: Callable[[bytes], ExternalAutopilot], served: Served
+) -> None:
+    autopilot = heard(heartbeat(Px4))
+    autopilot.is_ours = False
+    served.port.settimeout(0)
+    with contextlib.suppress(BlockingIOError):
+        while served.port.recv(4096):
+            pass
+    for _ in range(3):
+        assert not autopilot.select_mode("OFFBOARD")
+    assert served.said == ["select OFFBOARD now"]
+    with pytest.raises(BlockingIOError):
+        served.port.recv(10)
 
 
 def test_a_pilot_who_is_not_there_moves_no_sticks(served: Served) -> None:

@@ -3,9 +3,11 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
+from io import BytesIO
+from itertools import groupby, pairwise
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from companion.config import parse
 from companion.follower import Follower
@@ -18,6 +20,7 @@ from sim.loop import OUR_CLOCK_S, Faults, Loop
 from sim.px4 import Px4
 from sim.stages import stage
 from sim.trace import Moment
+from sim.world import Pose
 
 BOTH = pytest.mark.parametrize("kind", [ArduCopter, Px4])
 DELAYS_S = (0.0, 0.1, 0.2, 0.3)
@@ -37,11 +40,12 @@ def looped(
     off_nose_deg: float = 0.0,
     delay_s: float = 0.035,
     wait_s: float = STANDING_S,
+    start: Pose | None = None,
     **parameters: float,
 ) -> Loop:
     """A loop whose delay is half the camera's, known, and half the tracker's."""
     ground = stage(place, 7)
-    start = replace(ground.start, yaw_rad=ground.start.yaw_rad - math.radians(off_nose_deg))
+    start = start or replace(ground.start, yaw_rad=ground.start.yaw_rad - math.radians(off_nose_deg))
     ground = replace(ground, start=start)
     config = parse(
         f"[camera]\nwidth_px=640\nheight_px=480\nfocal_px={ground.camera.focal_px}\nlatency_ms={500 * delay_s}\n"
@@ -209,6 +213,59 @@ def test_a_camera_that_stays_dead_ends_in_hold(kind: type[Personality]) -> None:
     assert loop.autopilot.mode_name == HOLD[kind]
     assert not is_streamed(after(loop, dead_s + 14.0))
     assert loop.moments[-1].mode == Mode.LOST.value
+
+
+@BOTH
+def test_a_target_away_for_long_is_searched_for_by_turning_and_awaits_the_operators_word(
+    kind: type[Personality],
+) -> None:
+    loop = looped(kind, '[follow]\nmode="follow"\n[loss]\nsearch_after_s=2\nsearch_yaw_rate_dps=8\n', wait_s=8.0)
+    engaged(loop)
+    loop.run(12.0)
+    lost_s = loop.time_s
+    loop.faults = Faults(is_camera_dead=True)
+    loop.run(lost_s + 4.5)
+    loop.faults = Faults()
+    loop.run(lost_s + 8.0)
+    modes = [mode for mode, _ in groupby(moment.mode for moment in after(loop, lost_s))]
+    rungs = [Mode.COASTING, Mode.HOLDING, Mode.SEARCHING, Mode.AWAITING]
+    assert [mode for mode in modes if mode != Mode.FOLLOWING.value] == [mode.value for mode in rungs]
+    searching = [moment for moment in after(loop, lost_s) if moment.mode == Mode.SEARCHING.value]
+    assert {moment.setpoint_ned_mps for moment in searching} == {(0.0, 0.0, 0.0)}
+    assert abs(searching[-1].yaw_rate_radps or 0.0) == pytest.approx(math.radians(8))
+    awaiting = after(loop, lost_s + 6.0)
+    assert {(moment.setpoint_ned_mps, moment.yaw_rate_radps) for moment in awaiting} == {((0.0, 0.0, 0.0), 0.0)}
+    loop.commands.append(Engage())
+    loop.run(loop.time_s + 6.0)
+    assert loop.moments[-1].mode == Mode.FOLLOWING.value
+    assert loop.moments[-1].speed_mps > 1.0
+
+
+def test_an_engage_during_arducopters_take_off_is_refused_and_the_climb_goes_on() -> None:
+    ground = stage("straight", 7)
+    start = replace(ground.start, pos_ned_m=(*ground.start.pos_ned_m[:2], 0.0))
+    loop = looped(ArduCopter, start=start)
+    loop.run(45.0)  # it boots
+    assert loop.autopilot.select_mode("GUIDED")
+    assert loop.autopilot.arm()
+    station = mavlink.MAVLink(BytesIO(), 255, 190)
+    take_off = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 0, 14.0)
+    loop.autopilot.receive(bytes(take_off.pack(station)))
+
+    def impatient(loop: Loop) -> None:
+        if loop.autopilot.pose.pos_ned_m[2] < -3.0 and loop.truth.box is not None:
+            is_first = not any(moment.box is not None for moment in loop.moments)
+            loop.commands.append(Select(loop.truth.box) if is_first else Engage())
+
+    loop.run(55.0, impatient)
+    texts = [text for moment in loop.moments for text in moment.texts]
+    assert any("still climbing or sinking" in text for text in texts)
+    climbing = [m for m in loop.moments if m.time_s > 46 and m.pose.pos_ned_m[2] > -13.0]
+    assert climbing
+    assert not is_streamed(climbing)
+    loop.run(75.0, impatient)
+    assert loop.moments[-1].mode == Mode.FOLLOWING.value
+    assert min(m.pose.pos_ned_m[2] for m in loop.moments) == pytest.approx(-14.0, abs=0.7)
 
 
 # ------------------------------------------------------------------------------------- the link and ourselves

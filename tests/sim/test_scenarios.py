@@ -1,10 +1,11 @@
 """Every scenario with both autopilots, with true boxes in place of the tracker's: control, modes and failsafes."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
-from sim.eyes import TrueEyes
+from sim.eyes import RenderedEyes, TrueEyes
 from sim.scenarios import AUTOPILOTS, DEMO, SCENARIOS, Check, fly
 from sim.trace import Trace
 
@@ -19,6 +20,14 @@ def test_a_scenario_passes_its_checks(name: str, autopilot: str) -> None:
 def test_the_same_flight_is_the_same_to_the_bit() -> None:
     first, again = (fly(SCENARIOS["sticks"], "px4", TrueEyes, seed=3)[0] for _ in range(2))
     assert first == again
+
+
+def test_a_flight_with_pictures_and_the_tracker_is_the_same_to_the_bit() -> None:
+    short = replace(SCENARIOS["straight"], duration_s=5.0)
+    first, again = (fly(short, "ardupilot", RenderedEyes, seed=3)[0] for _ in range(2))
+    assert first == again
+    assert first.moments[-1].mode == "following"
+    assert (first.moments[-1].iou or 0.0) > 0.5
 
 
 def test_the_demo_is_a_scenario() -> None:
