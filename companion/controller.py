@@ -217,8 +217,8 @@ class Controller:
                 self._change(is_answered=event.is_accepted)
             if isinstance(event, LocalState):
                 self._watch_frame(event)
-            if isinstance(event, SetpointInForce):
-                self._watch_obedience(event)
+            if isinstance(event, SetpointInForce) and now_s - self._state.left_s <= STREAM_GAP_S:
+                self._watch_obedience(event)  # after a stall of ours it has good reason to stand
             self._change(vehicle=self._state.vehicle.after(event))
             if isinstance(event, Heartbeat):
                 self._watch_resume(event, now_s)

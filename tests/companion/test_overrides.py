@@ -250,6 +250,14 @@ def test_an_arducopter_that_steers_by_zero_though_told_to_move_does_not_hear_us_
     assert outputs[left].request is FlightMode.HOLD
 
 
+def test_zeros_from_the_time_of_a_stall_of_ours_end_it_as_a_stall() -> None:
+    cockpit = brought_to(Mode.FOLLOWING)
+    times_s = [cockpit.now_s + 0.5 * k for k in range(1, 7)]
+    output = cockpit.step(events=tuple(SetpointInForce(t, ZERO[0]) for t in times_s), dt_s=3.0)
+    assert f"Follow ended: {Reason.STALLED.value}" in cockpit.texts
+    assert output.request is None  # the heartbeat may be as old
+
+
 def test_one_zero_alone_says_nothing() -> None:
     cockpit = brought_to(Mode.FOLLOWING)
     in_force(cockpit, 0.0)

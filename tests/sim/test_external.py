@@ -152,7 +152,7 @@ def test_a_link_that_breaks_is_said(served: Served, monkeypatch: pytest.MonkeyPa
 def test_the_modes_of_one_that_somebody_else_flies_are_asked_for_in_words_once(
     heard: Callable[[bytes], ExternalAutopilot], served: Served
 ) -> None:
-    autopilot = heard(heartbeat(Px4))
+    autopilot = heard(telemetry(Px4))
     autopilot.is_ours = False
     served.port.settimeout(0)
     with contextlib.suppress(BlockingIOError):
@@ -160,7 +160,8 @@ def test_the_modes_of_one_that_somebody_else_flies_are_asked_for_in_words_once(
             pass
     for _ in range(3):
         assert not autopilot.select_mode("OFFBOARD")
-    assert served.said == ["select OFFBOARD now"]
+    assert served.said[-1:] == ["select OFFBOARD now"]
+    assert served.said.count("select OFFBOARD now") == 1
     with pytest.raises(BlockingIOError):
         served.port.recv(10)
 
