@@ -15,15 +15,20 @@ from mscf.command_line import EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, EXIT_USAGE, Pa
 from mscf.config import PRESETS
 from mscf.demo import DemoOptions, ProgressStyle, run_demo
 from mscf.errors import MscfError
+from mscf.evaluation.campaign import EvaluationOptions, evaluate, read_left_out
+from mscf.evaluation.compare import compare
 from mscf.evaluation.datasets import read_dataset
-from mscf.evaluation.protocol import PROTOCOLS, run_dataset
-from mscf.evaluation.report import print_table
+from mscf.evaluation.peers import Models, tracker_names
+from mscf.evaluation.protocol import PROTOCOLS, TRE_STARTS
+from mscf.evaluation.report import check_strips, print_table, write_report
 from mscf.source import open_source
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status: 0, 2 for bad input, 130 for Ctrl-C."""
-    arguments = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    parser, words = (_compare_parser(), words[2:]) if words[:2] == ["eval", "compare"] else (_parser(), words)
+    arguments = parser.parse_args(words)
     threadpool_limits(1, "blas")  # the tracker's matrix products are too small to be worth sharing
     cv2.setNumThreads(1)
     # what these would print of a broken file is said in one line of our own
@@ -99,35 +104,95 @@ def _demo(arguments: argparse.Namespace) -> int:
 def _add_eval(commands: "argparse._SubParsersAction[Parser]") -> None:
     evaluate = commands.add_parser(
         "eval",
-        help="accuracy on sequences with ground truth",
-        description="Run trackers over sequences and print precision at 20 px and AUC, mean over runs, then sequences.",
+        help="trackers compared on sequences with ground truth; `eval compare A B`: two results",
+        description="Run trackers over a data set; write tables, plots and a page of it. "
+        "`mscf eval compare A B`: whether the difference of two results, folders OUT/runs/TRACKER, is real.",
     )
-    evaluate.add_argument("dataset", type=Path, metavar="DATASET", help="folder of NAME/img/ and NAME/groundtruth.txt")
+    evaluate.add_argument(
+        "dataset", type=Path, metavar="DATASET", help="UAV123, UAV123@10fps, DTB70, UAVDT, OTB100, VOT or NAME/img/"
+    )
     evaluate.add_argument(
         "--tracker",
-        action="append",
+        nargs="+",
+        action="extend",
         metavar="NAME",
-        help="a preset, or csrt (see make bench); may be repeated (default: mscf, reference)",
+        help=f"{', '.join(tracker_names())}, or module:Class (default: mscf reference)",
     )
     evaluate.add_argument(
         "--protocol",
         choices=PROTOCOLS,
-        default="jitter",
-        help="ope: one run; jitter: the first box and its 8 shifts by 1 px; tre: 5 starts (default: %(default)s)",
+        default="ope",
+        help="ope: one run; tre: from frames spread over the sequence; sre: from 12 boxes around the first one "
+        "(default: %(default)s)",
+    )
+    evaluate.add_argument(
+        "--starts", type=_count, default=TRE_STARTS, metavar="N", help="of tre (default: %(default)s)"
+    )
+    evaluate.add_argument("--sequences", metavar="A,B", help="only these")
+    evaluate.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default: %(default)s)")
+    evaluate.add_argument("--out", type=Path, default=Path("out/eval"), metavar="DIR", help="default: %(default)s")
+    evaluate.add_argument("--resume", action="store_true", help="go on with what DIR holds")
+    evaluate.add_argument(
+        "--strip",
+        type=_strip,
+        action="append",
+        default=[],
+        metavar="NAME[:N,N]",
+        help="sequence, and frames of it from 1, to show with all boxes; may be repeated (default: where they differ)",
     )
     evaluate.add_argument("--color-table", type=Path, metavar="NPZ", help="colour names to use in place of our own")
-    evaluate.add_argument("--jobs", type=_count, default=1, metavar="N", help="processes (default: %(default)s)")
+    evaluate.add_argument(
+        "--nano", type=Path, nargs=2, metavar=("BACKBONE", "HEAD"), help="ONNX files of OpenCV's tracker nano"
+    )
+    evaluate.add_argument("--vit", type=Path, metavar="MODEL", help="ONNX file of OpenCV's tracker vit")
     evaluate.set_defaults(run=_eval)
 
 
 def _eval(arguments: argparse.Namespace) -> int:
     names = tuple(dict.fromkeys(arguments.tracker or ["mscf", "reference"]))
-    sequences = read_dataset(arguments.dataset)
-    runs = run_dataset(
-        sequences, names, arguments.protocol, color_table=arguments.color_table, jobs=arguments.jobs, log=sys.stderr
+    dataset = read_dataset(arguments.dataset, arguments.sequences.split(",") if arguments.sequences else ())
+    check_strips(arguments.strip, dataset.sequences)
+    for skipped in dataset.skipped:
+        print(f"{skipped.name} is left out: {skipped.why}", file=sys.stderr)
+    backbone, head = arguments.nano or (None, None)
+    options = EvaluationOptions(
+        protocol=arguments.protocol,
+        tre_starts=arguments.starts,
+        jobs=arguments.jobs,
+        is_resumed=arguments.resume,
+        models=Models(backbone, head, arguments.vit),
+        color_table=arguments.color_table,
     )
-    print_table(runs, names, arguments.protocol, sys.stdout)
+    records = evaluate(dataset, names, options, arguments.out, sys.stderr)
+    left_out = read_left_out(arguments.out) | {each.name: each.why for each in dataset.skipped}
+    page, notice = write_report(
+        records, dataset.sequences, arguments.out, names, tuple(left_out.items()), arguments.strip
+    )
+    print_table(records, names, sys.stdout)
+    print(f"\npage      {page}")
+    if notice:
+        print(f"mscf: {notice}", file=sys.stderr)
     return 0
+
+
+def _strip(text: str) -> tuple[str, tuple[int, ...]]:
+    """Name of a sequence, and 0-based frames."""
+    name, _, numbers = text.partition(":")
+    return name, tuple(_count(number) - 1 for number in numbers.split(",")) if numbers else ()
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    compare(arguments.a, arguments.b, sys.stdout)
+    return 0
+
+
+def _compare_parser() -> Parser:
+    """Of `eval compare`: `eval` has a data set in that place."""
+    parser = Parser(prog="mscf eval compare", description="Whether a difference is real, paired by sequence and start.")
+    parser.add_argument("a", type=Path, metavar="A", help="a folder OUT/runs/TRACKER")
+    parser.add_argument("b", type=Path, metavar="B", help="another, of the same or another evaluation")
+    parser.set_defaults(run=_compare)
+    return parser
 
 
 def _add_bench(commands: "argparse._SubParsersAction[Parser]") -> None:

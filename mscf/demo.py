@@ -16,7 +16,7 @@ from tqdm import tqdm
 from mscf.arrays import Image, Real
 from mscf.config import TrackerConfig
 from mscf.errors import FrameError, OutputError, SourceError
-from mscf.evaluation.metrics import score
+from mscf.evaluation.metrics import errors_of, score
 from mscf.figure import Track, check_plottable, save_figure
 from mscf.geometry import Box
 from mscf.mutation import threat_of_peaks
@@ -190,7 +190,7 @@ def _report(source: Source, options: DemoOptions, contestants: Sequence[_Contest
         if contestant.update_ms:
             text += f", {median(contestant.update_ms):.1f} ms an update (median)"
         if any(true is not None for true in truth):
-            found = score(contestant.boxes[: len(truth)], truth)
+            found = score(errors_of(contestant.boxes[: len(truth)], truth))
             text += f", precision at 20 px {found.precision:.3f}, AUC {found.auc:.3f}"
         print(text, file=out)
     for path in (options.save, options.boxes):

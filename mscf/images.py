@@ -1,8 +1,7 @@
 """Image files and the ground truth beside them."""
 
-import math
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import cv2
@@ -51,6 +50,38 @@ def read_image(path: Path) -> Image:
     return np.asarray(image, dtype=np.uint8)
 
 
+def read_rows(path: Path, lengths: Collection[int], expected: str) -> tuple[tuple[float, ...] | None, ...]:
+    """Numbers of a text file, line by line; comma, tab or blank separated.
+
+    None stands for a blank line; blank lines at the end do not count.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read, or a line is not numbers, as many as one of `lengths` says; the error tells what
+        was `expected`.
+    """
+    try:
+        lines = path.read_text().rstrip().splitlines()
+    except OSError as error:
+        raise SourceError(f"{path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise SourceError(f"{path} cannot be read: it is not text") from error
+    rows: list[tuple[float, ...] | None] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            rows.append(None)
+            continue
+        try:
+            row = tuple(float(word) for word in line.replace(",", " ").split())
+        except ValueError:
+            row = ()
+        if len(row) not in lengths:
+            raise SourceError(f"{path}, line {number}: expected {expected}, got {line.strip()[:60]!r}")
+        rows.append(row)
+    return tuple(rows)
+
+
 def read_truth(path: Path) -> tuple[Box | None, ...]:
     """Boxes of a ground-truth file: x,y,w,h a line, 1-based; comma, tab or blank separated.
 
@@ -61,19 +92,10 @@ def read_truth(path: Path) -> tuple[Box | None, ...]:
     SourceError
         If the file cannot be read or a line is not four numbers.
     """
-    try:
-        lines = path.read_text().rstrip().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SourceError(f"{path} cannot be read: {error}") from error
-    boxes: list[Box | None] = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            boxes.append(None)
-            continue
-        try:
-            x, y, w, h = (float(word) for word in line.replace(",", " ").split())
-        except ValueError as error:
-            raise SourceError(f"{path}, line {number}: expected x,y,w,h, got {line.strip()!r}") from error
-        present = all(map(math.isfinite, (x, y, w, h))) and w > 0 and h > 0
-        boxes.append(Box.from_one_based(x, y, w, h) if present else None)
-    return tuple(boxes)
+    rows = read_rows(path, {4}, "x,y,w,h")
+    return tuple(None if row is None else present(Box.from_one_based(*row)) for row in rows)
+
+
+def present(box: Box) -> Box | None:
+    """The box, or None where it says that the target is absent: not finite, or without an area."""
+    return box if box.is_finite and box.w > 0 and box.h > 0 else None

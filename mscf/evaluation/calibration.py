@@ -27,7 +27,7 @@ from mscf.confidence import BIAS, FIRST_RESPONSES, LOG_APCE, LOG_PEAK, RECENT_RA
 from mscf.errors import MscfError, OutputError
 from mscf.evaluation.datasets import Sequence, read_dataset
 from mscf.evaluation.occlusion import hidden_span, without_target
-from mscf.evaluation.protocol import starts
+from mscf.evaluation.protocol import neighbours
 from mscf.figure import check_plottable
 from mscf.recording import check_writable
 from mscf.tracker import Tracker
@@ -100,7 +100,7 @@ def collect(sequence: Sequence) -> Responses:
     is_held: list[bool] = []
     is_covered: list[bool] = []
     is_staged: list[bool] = []
-    runs = starts(sequence, "jitter")
+    runs = neighbours(sequence)
     for stage in (False, True):
         for run, start in enumerate(runs):
             span = hidden_span(len(frames), run, len(runs)) if stage else range(0)
@@ -369,7 +369,7 @@ def main(argv: Rows[str] | None = None) -> int:
         for path in (arguments.plot, arguments.json):
             if path is not None:
                 check_writable(path)
-        sequences = read_dataset(arguments.dataset)
+        sequences = read_dataset(arguments.dataset).sequences
         with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
             table = Table.of(list(pool.map(collect, sequences)))
         figures = report(table, sys.stdout)

@@ -23,7 +23,7 @@ from mscf.errors import MscfError
 from mscf.evaluation.calibration import LEAST_OVERLAP
 from mscf.evaluation.datasets import Sequence, read_dataset
 from mscf.evaluation.occlusion import hidden_span, without_target
-from mscf.evaluation.protocol import starts
+from mscf.evaluation.protocol import neighbours
 from mscf.geometry import Box
 from mscf.long_term import LongTermPolicy, LongTermResult, LongTermTracker, TrackStatus
 from mscf.tracker import Tracker
@@ -106,7 +106,7 @@ def compare(sequence: Sequence, frame_s: float, policy: LongTermPolicy) -> dict[
     threadpool_limits(1, "blas")
     plain = [sequence.read(index) for index in range(len(sequence.images))]
     counts: dict[tuple[str, bool], Count] = {}
-    runs = starts(sequence, "jitter")
+    runs = neighbours(sequence)
     for is_staged in (False, True):
         for run, start in enumerate(runs):
             span = hidden_span(len(plain), run, len(runs)) if is_staged else range(0)
@@ -153,7 +153,7 @@ def main(argv: Rows[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
     arguments = parser.parse_args(argv)
     try:
-        sequences = read_dataset(arguments.dataset)
+        sequences = read_dataset(arguments.dataset).sequences
         work = partial(compare, frame_s=1 / arguments.fps, policy=LongTermPolicy())
         with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
             counts = dict(zip([s.name for s in sequences], pool.map(work, sequences), strict=True))

@@ -1,129 +1,93 @@
-"""How a tracker is run over a sequence: from where, and how often."""
+"""From where, and how often, a tracker is run over a sequence.
 
-import signal
-import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+The protocols are those of OTB: Wu, Lim, Yang, "Online Object Tracking: A Benchmark", CVPR 2013, and the code published
+with it (`splitSeqTRE`, `shiftInitBB`).
+"""
+
 from dataclasses import dataclass
-from multiprocessing import get_context
-from pathlib import Path
-from typing import TextIO
 
-import cv2
-from threadpoolctl import threadpool_limits
-
+from mscf.errors import ConfigError
 from mscf.evaluation.datasets import Sequence
-from mscf.evaluation.metrics import Score, score
-from mscf.evaluation.peers import tracker_factory
 from mscf.frame import MIN_BOX_PX
 from mscf.geometry import Box
 
-PROTOCOLS: tuple[str, ...] = ("ope", "jitter", "tre")
-TRE_STARTS = 5
+PROTOCOLS: tuple[str, ...] = ("ope", "tre", "sre")
+TRE_STARTS = 20
+TRE_LEAST_FRAMES = 20  # of a run
+SRE_SHIFT = 0.1  # of the box's width and height
+SRE_SCALES = (0.8, 0.9, 1.1, 1.2)
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a run begins."""
+    """Where a run begins; it goes on to the end of the sequence."""
 
     index: int  # first frame
     box: Box
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One tracker's run over one sequence."""
+def starts(sequence: Sequence, protocol: str, count: int = TRE_STARTS) -> tuple[Start, ...]:
+    """Runs of a protocol, in the order of their first frames; none where the sequence has no box to start from.
 
-    sequence: str
-    tracker: str
-    start: Start
-    score: Score
-    update_ms: tuple[float, ...]  # of each update, image decoding excluded
-
-
-def starts(sequence: Sequence, protocol: str) -> tuple[Start, ...]:
-    """Runs of a protocol.
-
-    ope : one, from the first frame's true box.
-    jitter : nine, from the true box and its eight shifts by 1 px: single runs are bistable on some sequences.
-    tre : five, from the true boxes of frames spread evenly over the sequence, each to its end (OTB's TRE); from
-        the next frame where one has no box of at least 4 px.
-    """
-    first = sequence.truth[0]
-    assert first is not None  # read_sequence refuses such a sequence
-    if protocol == "ope":
-        return (Start(0, first),)
-    if protocol == "jitter":
-        shifts = [(0, 0)] + [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (dx, dy) != (0, 0)]
-        return tuple(Start(0, Box(first.x + dx, first.y + dy, first.w, first.h)) for dx, dy in shifts)
-    count = len(sequence.truth)
-    found: dict[int, Box] = {}  # a gap in the truth may send two segments to one frame
-    for segment in range(TRE_STARTS):
-        for index in range(segment * count // TRE_STARTS, count - 1):
-            box = sequence.truth[index]
-            if box is not None and min(box.w, box.h) >= MIN_BOX_PX:
-                found[index] = box
-                break
-    return tuple(Start(index, box) for index, box in found.items())
-
-
-def run_sequence(sequence: Sequence, name: str, protocol: str, color_table: Path | None = None) -> list[Run]:
-    """Run a tracker from each start of a protocol; one thread, image decoding not timed."""
-    cv2.setNumThreads(1)
-    threadpool_limits(1, "blas")
-    make = tracker_factory(name, color_table)
-    frames = [sequence.read(index) for index in range(len(sequence.images))]
-    runs = []
-    for start in starts(sequence, protocol):
-        tracker = make()
-        tracker.init(frames[start.index], start.box)
-        boxes, update_ms = [start.box], []
-        for frame in frames[start.index + 1 :]:
-            begin_s = time.perf_counter()
-            boxes.append(tracker.update(frame).box)
-            update_ms.append((time.perf_counter() - begin_s) * 1e3)
-        runs.append(Run(sequence.name, name, start, score(boxes, sequence.truth[start.index :]), tuple(update_ms)))
-    return runs
-
-
-def run_dataset(
-    sequences: tuple[Sequence, ...],
-    names: tuple[str, ...],
-    protocol: str,
-    *,
-    color_table: Path | None,
-    jobs: int,
-    log: TextIO,
-) -> list[Run]:
-    """Run every tracker over every sequence, `jobs` processes at a time; `log` hears of each that is done.
+    ope : one, from the first true box.
+    tre : `count`, from the true boxes of frames spread evenly over those that a run can start from; at most one a
+        frame. These are, as in OTB, the frames whose true box has its corner in the image and which have 20 frames
+        of the sequence left, themselves included. Deviations: the box has sides of at least 4 px, as less is no target;
+        a sequence of under 40 frames has half of it left, where OTB's code demands 20 and stops.
+    sre : twelve, from the first true box shifted to its four sides by 10 % of its size, with one of its four corners
+        moved outwards so, and scaled about its centre by 0.8, 0.9, 1.1 and 1.2. Deviation: OTB's code rounds to
+        whole pixels, which of a target of 11 px makes a shift of 18 %, and cuts the box at the image's border.
 
     Raises
     ------
-    MscfError
-        If a tracker is unknown or missing, or an image cannot be decoded.
+    ConfigError
+        If there is no such protocol.
     """
-    for name in names:
-        tracker_factory(name, color_table)  # fails now rather than after an hour
-    runs: list[Run] = []
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_ignore_ctrl_c)
-    try:
-        waiting = {
-            pool.submit(run_sequence, sequence, name, protocol, color_table): (sequence.name, name)
-            for sequence in sequences
-            for name in names
-        }
-        for done, future in enumerate(as_completed(waiting), start=1):
-            runs += future.result()
-            print(f"{done} of {len(waiting)}: {' '.join(waiting[future])}", file=log, flush=True)
-    except BaseException:
-        # neither Ctrl-C nor the first error waits for what is still in the queue
-        for process in list(pool._processes.values()):  # noqa: SLF001 - terminate_workers comes with Python 3.14
-            process.terminate()
-        pool.shutdown(wait=True, cancel_futures=True)
-        raise
-    pool.shutdown()
-    return runs
+    if protocol not in PROTOCOLS:
+        raise ConfigError(f"unknown protocol {protocol!r}: choose from {', '.join(PROTOCOLS)}")
+    if protocol == "tre":
+        return _temporal(sequence.truth, count)
+    first = next((Start(index, box) for index, box in enumerate(sequence.truth) if box is not None), None)
+    if first is None:
+        return ()
+    return (first,) if protocol == "ope" else tuple(Start(first.index, box) for box in _spatial(first.box))
 
 
-def _ignore_ctrl_c() -> None:
-    """Leave it to the parent, which ends its workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def neighbours(sequence: Sequence) -> tuple[Start, ...]:
+    """Nine starts from the first frame: its true box, and its eight shifts by 1 px.
+
+    Single runs are bistable on some sequences; these are all of the same difficulty, as those of `sre` are not.
+
+    Raises
+    ------
+    ConfigError
+        If the first frame has no box.
+    """
+    first = sequence.truth[0]
+    if first is None:
+        raise ConfigError(f"{sequence.name} has no box in its first frame")
+    shifts = [(0, 0)] + [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (dx, dy) != (0, 0)]
+    return tuple(Start(0, Box(first.x + dx, first.y + dy, first.w, first.h)) for dx, dy in shifts)
+
+
+def _temporal(truth: tuple[Box | None, ...], count: int) -> tuple[Start, ...]:
+    least = max(min(TRE_LEAST_FRAMES, len(truth) // 2), 2)  # two frames are one update
+    usable = [
+        Start(index, box)
+        for index, box in enumerate(truth[: len(truth) - least + 1])
+        if box is not None and min(box.w, box.h) >= MIN_BOX_PX and min(box.to_one_based()[:2]) > 0
+    ]
+    steps = max(count - 1, 1)
+    # the last one is the last usable; a set, as of few usable frames some are found twice
+    chosen = {min(step * len(usable) // steps, len(usable) - 1) for step in range(count)} if usable else set()
+    return tuple(usable[number] for number in sorted(chosen))
+
+
+def _spatial(box: Box) -> list[Box]:
+    x, y, w, h = box.x, box.y, box.w, box.h
+    dx, dy = SRE_SHIFT * w, SRE_SHIFT * h
+    shifted = [Box(x - dx, y, w, h), Box(x + dx, y, w, h), Box(x, y - dy, w, h), Box(x, y + dy, w, h)]
+    # with a corner moved outwards the box grows to both sides of it, and the opposite corner stays
+    moved = [Box(left, top, w + dx, h + dy) for top in (y - dy, y) for left in (x - dx, x)]
+    scaled = [Box(x + w * (1 - s) / 2, y + h * (1 - s) / 2, s * w, s * h) for s in SRE_SCALES]
+    return shifted + moved + scaled

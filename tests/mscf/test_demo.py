@@ -12,7 +12,7 @@ from mover import FRAMES
 
 from mscf import cli
 from mscf.arrays import Image
-from mscf.evaluation.datasets import read_truth
+from mscf.images import read_truth
 from mscf.source import ImageSource
 
 
@@ -116,9 +116,6 @@ def test_ctrl_c_leaves_playable_files_and_status_130(
         (["demo", "{sequence}", "--box", "0,0,9999,9999"], "too large"),
         (["demo", "{sequence}", "--max-frames", "0"], "give a whole number from 1"),
         (["demo", "{sequence}", "--preset", "best"], "invalid choice: 'best'"),
-        (["eval", "no/such/folder"], "no/such/folder is not a folder"),
-        (["eval", "{sequence}"], "holds no sequence"),
-        (["eval", "{dataset}", "--tracker", "best"], "unknown tracker 'best'"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
@@ -160,9 +157,3 @@ def test_a_bad_output_stops_before_the_first_frame(sequence_dir: Path, tmp_path:
     boxes = tmp_path / "a.txt"
     assert cli.main(["demo", str(sequence_dir), "--boxes", str(boxes), "--plot", "no/such/a.png"]) == 2
     assert not boxes.exists()
-
-
-def test_eval_prints_a_table(sequence_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["eval", str(sequence_dir.parent), "--protocol", "ope", "--tracker", "bacf"]) == 0
-    said = capsys.readouterr().out
-    assert "| mover | 1.000 / 0." in said

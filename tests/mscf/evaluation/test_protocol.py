@@ -1,116 +1,118 @@
-import io
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from mscf.errors import ConfigError, SourceError
-from mscf.evaluation.datasets import Sequence, read_dataset, read_sequence
-from mscf.evaluation.peers import CSRT, has_csrt, tracker_factory
-from mscf.evaluation.protocol import run_dataset, run_sequence, starts
-from mscf.evaluation.report import print_table
+from mscf.errors import ConfigError
+from mscf.evaluation.datasets import Sequence
+from mscf.evaluation.protocol import starts
 from mscf.geometry import Box
-from mscf.images import read_truth
 
 
 def sequence_of(truth: list[Box | None]) -> Sequence:
     return Sequence("made", tuple(Path(f"{i}.png") for i in range(len(truth))), tuple(truth))
 
 
-BOXES: list[Box | None] = [Box(i, 0, 20, 20) for i in range(10)]
+def moving(frames: int) -> list[Box | None]:
+    return [Box(i, 0, 20, 10) for i in range(frames)]
 
 
-def test_one_pass_starts_at_the_first_box() -> None:
-    assert [(s.index, s.box) for s in starts(sequence_of(BOXES), "ope")] == [(0, BOXES[0])]
+def indices(truth: list[Box | None], count: int = 20) -> list[int]:
+    return [start.index for start in starts(sequence_of(truth), "tre", count)]
 
 
-def test_jitter_is_the_true_box_and_its_eight_neighbours() -> None:
-    found = starts(sequence_of(BOXES), "jitter")
-    assert found[0].box == BOXES[0]
-    assert {(s.box.x, s.box.y) for s in found} == {(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)}
-    assert all(s.index == 0 and (s.box.w, s.box.h) == (20, 20) for s in found)
+@pytest.mark.parametrize("absent", [0, 3])
+def test_one_pass_starts_at_the_first_true_box(absent: int) -> None:
+    truth = [None] * absent + moving(10)
+    assert [(s.index, s.box) for s in starts(sequence_of(truth), "ope")] == [(absent, Box(0, 0, 20, 10))]
 
 
-def test_temporal_starts_are_spread_over_the_sequence() -> None:
-    assert [s.index for s in starts(sequence_of(BOXES), "tre")] == [0, 2, 4, 6, 8]
+@pytest.mark.parametrize("protocol", ["ope", "tre", "sre"])
+def test_a_sequence_without_truth_has_no_start(protocol: str) -> None:
+    assert starts(sequence_of([None] * 50), protocol) == ()
 
 
-def test_a_gap_in_the_truth_moves_a_start_and_never_doubles_one() -> None:
-    truth = BOXES[:2] + [None] * 4 + BOXES[6:]
-    assert [s.index for s in starts(sequence_of(truth), "tre")] == [0, 6, 8]
+def test_an_unknown_protocol_is_refused() -> None:
+    with pytest.raises(ConfigError, match="unknown protocol 'vot': choose from ope, tre, sre"):
+        starts(sequence_of(moving(10)), "vot")
 
 
-def test_a_box_that_is_too_small_is_no_start() -> None:
-    truth = [*BOXES[:2], Box(0, 0, 3, 20), *BOXES[3:]]
-    assert [s.index for s in starts(sequence_of(truth), "tre")] == [0, 3, 4, 6, 8]
+# --- temporal ---
 
 
-def test_a_run_is_scored_against_the_truth_from_its_start_on(sequence_dir: Path) -> None:
-    runs = run_sequence(read_sequence(sequence_dir), "mscf", "tre")
-    assert len(runs) == 5
-    for run in runs:
-        assert run.score.precision == 1
-        assert run.score.auc > 0.6
-        assert len(run.update_ms) == 12 - 1 - run.start.index
+@pytest.mark.parametrize("frames", [39, 67, 237, 3000])
+def test_by_default_there_are_twenty_starts_from_the_first_frame_to_the_last_with_twenty_left(frames: int) -> None:
+    found = indices(moving(frames))
+    assert len(found) == 20
+    assert (found[0], found[-1]) == (0, frames - min(20, frames // 2))
+    steps = [b - a for a, b in pairwise(found)]
+    assert max(steps[:-1]) - min(steps[:-1]) <= 1
 
 
-def test_several_processes_give_what_one_gives(sequence_dir: Path) -> None:
-    sequences = read_dataset(sequence_dir.parent)
-    scores = []
-    for jobs in (1, 2):
-        runs = run_dataset(sequences, ("bacf", "mscf"), "ope", color_table=None, jobs=jobs, log=io.StringIO())
-        scores.append({(run.tracker, run.score) for run in runs})
-    assert scores[0] == scores[1]
+def test_starts_are_those_of_otb() -> None:
+    # 1-based, by its code: floor(1 : 81 / 4 : 81) and 81, of the 81 frames of 100 with twenty left
+    assert [index + 1 for index in indices(moving(100), 5)] == [1, 21, 41, 61, 81]
+    assert [index + 1 for index in indices(moving(96), 5)] == [1, 20, 39, 58, 77]
 
 
-def test_the_first_broken_image_ends_the_run_and_names_itself(sequence_dir: Path) -> None:
-    (sequence_dir / "img" / "000003.png").write_bytes(b"broken")
-    with pytest.raises(SourceError, match=r"000003\.png is not an image"):
-        run_dataset(read_dataset(sequence_dir.parent), ("mscf",), "ope", color_table=None, jobs=1, log=io.StringIO())
+def test_every_start_has_the_true_box_of_its_frame() -> None:
+    truth = moving(100)
+    assert all(start.box == truth[start.index] for start in starts(sequence_of(truth), "tre"))
 
 
-def test_the_table_is_the_mean_over_runs_then_over_sequences(sequence_dir: Path) -> None:
-    out = io.StringIO()
-    runs = run_sequence(read_sequence(sequence_dir), "mscf", "jitter")
-    print_table(runs, ["mscf"], "jitter", out)
-    mean = sum(run.score.auc for run in runs) / 9
-    assert f"| mover | 1.000 / {mean:.3f} |" in out.getvalue()
-    assert f"| mean | **1.000 / {mean:.3f}** |" in out.getvalue()
+@pytest.mark.parametrize(
+    "bad", [None, Box(0, 0, 3, 20), Box(0, 0, 20, 3), Box(-5, 0, 20, 20), Box(0, -5, 20, 20)], ids=str
+)
+def test_starts_are_spread_over_frames_with_a_usable_box(bad: Box | None) -> None:
+    truth = [*moving(30), *[bad] * 40, *moving(49)]
+    found = indices(truth, 5)
+    assert found == [0, 15, 70, 85, 99]  # of sixty usable ones: 0, 15, 30, 45, 59
+    truth[0] = bad
+    assert indices(truth, 1) == [1]
 
 
-def test_an_unknown_tracker_or_table_is_refused_before_anything_runs(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown tracker 'best'"):
-        tracker_factory("best")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        tracker_factory("mscf", tmp_path / "none.npz")
+@pytest.mark.parametrize("frames", [2, 3, 12, 25])
+def test_no_frame_starts_two_runs_and_every_run_has_an_update(frames: int) -> None:
+    found = indices(moving(frames))
+    assert found == sorted(set(found))
+    assert found[0] == 0
+    assert found[-1] == frames - max(frames // 2, 2)
 
 
-@pytest.mark.skipif(has_csrt(), reason="this cv2 has CSRT")
-def test_where_csrt_is_missing_it_says_how_to_get_it() -> None:
-    with pytest.raises(ConfigError, match="opencv-contrib-python-headless in place of"):
-        tracker_factory(CSRT)
+def test_few_usable_frames_are_all_used() -> None:
+    truth: list[Box | None] = [None] * 100
+    truth[7], truth[40], truth[95] = Box(1, 1, 9, 9), Box(2, 2, 9, 9), Box(3, 3, 9, 9)
+    assert indices(truth) == [7, 40]
 
 
-# --- reading ---
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_the_number_of_starts_can_be_chosen(count: int) -> None:
+    assert len(indices(moving(100), count)) == count
 
 
-def test_truth_may_be_separated_by_comma_tab_or_blank_and_absent(tmp_path: Path) -> None:
-    path = tmp_path / "groundtruth.txt"
-    path.write_text("1,2,3,4\n5\t6\t7\t8\n9 10 11 12\nNaN,NaN,NaN,NaN\n0,0,0,0\n\n2,2,2,2\n\n")
-    assert read_truth(path) == (Box(0, 1, 3, 4), Box(4, 5, 7, 8), Box(8, 9, 11, 12), None, None, None, Box(1, 1, 2, 2))
+# --- spatial ---
 
 
-@pytest.mark.parametrize("line", ["1,2,3", "1,2,3,4,5", "a,b,c,d"])
-def test_a_line_that_is_no_box_is_named(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "groundtruth.txt"
-    path.write_text(f"1,2,3,4\n{line}\n")
-    with pytest.raises(SourceError, match="line 2: expected x,y,w,h"):
-        read_truth(path)
+def test_spatial_starts_are_four_shifts_four_moved_corners_and_four_scales() -> None:
+    found = [start.box for start in starts(sequence_of([Box(100, 200, 40, 20), None, None]), "sre")]
+    expected = [
+        Box(96, 200, 40, 20),
+        Box(104, 200, 40, 20),
+        Box(100, 198, 40, 20),
+        Box(100, 202, 40, 20),
+        Box(96, 198, 44, 22),
+        Box(100, 198, 44, 22),
+        Box(96, 200, 44, 22),
+        Box(100, 200, 44, 22),
+        Box(104, 202, 32, 16),
+        Box(102, 201, 36, 18),
+        Box(98, 199, 44, 22),
+        Box(96, 198, 48, 24),
+    ]
+    assert len(found) == 12
+    for box, by_hand in zip(found, expected, strict=True):
+        assert (box.x, box.y, box.w, box.h) == pytest.approx((by_hand.x, by_hand.y, by_hand.w, by_hand.h))
 
 
-def test_a_sequence_whose_parts_do_not_fit_is_refused(sequence_dir: Path) -> None:
-    (sequence_dir / "img" / "000012.png").unlink()
-    with pytest.raises(SourceError, match="11 images and 12 lines"):
-        read_sequence(sequence_dir)
-    (sequence_dir / "groundtruth.txt").unlink()
-    with pytest.raises(SourceError, match="is no sequence"):
-        read_sequence(sequence_dir)
+def test_spatial_starts_are_all_in_the_first_frame_with_a_box() -> None:
+    assert {start.index for start in starts(sequence_of([None, *moving(5)]), "sre")} == {1}
