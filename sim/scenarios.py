@@ -289,6 +289,8 @@ KEEPS = (
     Check("range over that at engagement, worst", "", _worst_range_ratio, most=1.5),
     Check("height changes by", "m", _height_span_m, most=2),
 )
+# who brakes for a car that stops raises the nose, and the box touches the frame's lower border for a moment
+STOPS = tuple(replace(check, least=0.95) if check.figure is _following_share else check for check in KEEPS)
 HIDES = (
     *SAFE,
     Check("time following, once settled", "", _following_share, least=0.75),
@@ -341,7 +343,7 @@ SCENARIOS: dict[str, Scenario] = {
             ),
             settings=_LIMITS,
         ),
-        Scenario("stop_and_go", "a car brakes, stands and goes on", "stop_and_go", 60, KEEPS, settings=_LIMITS),
+        Scenario("stop_and_go", "a car brakes, stands and goes on", "stop_and_go", 60, STOPS, settings=_LIMITS),
         Scenario("pedestrian", "a person walks", "pedestrian", 45, KEEPS, settings=_LIMITS),
         Scenario(
             "gusts",
