@@ -14,6 +14,7 @@ import stat
 import sys
 import termios
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -59,15 +60,7 @@ class _UdpServer:
 
     def read(self, now_s: float) -> bytes:
         data = b""
-        for _ in range(_MOST_PACKETS):
-            if len(data) >= _READ_SIZE:
-                break
-            try:
-                packet, peer = self._socket.recvfrom(_READ_SIZE)
-            except BlockingIOError:
-                break
-            except ConnectionRefusedError:  # ICMP's answer to what was sent before: nobody listens any more
-                continue
+        for packet, peer in _packets(self._socket):
             data += packet
             self._peers.pop(peer, None)  # the last one is the latest to have spoken
             self._peers[peer] = now_s
@@ -100,17 +93,7 @@ class _UdpClient:
             raise
 
     def read(self, now_s: float) -> bytes:
-        data = b""
-        for _ in range(_MOST_PACKETS):
-            if len(data) >= _READ_SIZE:
-                break
-            try:
-                data += self._socket.recv(_READ_SIZE)
-            except BlockingIOError:
-                break
-            except ConnectionRefusedError:  # nobody listens there yet
-                continue
-        return data
+        return b"".join(packet for packet, _ in _packets(self._socket))
 
     def write(self, data: bytes) -> int:
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # lost, as any datagram may be
@@ -213,6 +196,22 @@ def _udp() -> socket.socket:
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.settimeout(0)
     return end
+
+
+def _packets(end: socket.socket) -> Iterator[tuple[bytes, tuple[str, int]]]:
+    """What has come, with the sender of each; no more than a read is to bring."""
+    size = 0
+    for _ in range(_MOST_PACKETS):
+        try:
+            packet, peer = end.recvfrom(_READ_SIZE)
+        except BlockingIOError:
+            return
+        except ConnectionRefusedError:  # ICMP's answer to what was sent before: nobody listens there
+            continue
+        yield packet, peer
+        size += len(packet)
+        if size >= _READ_SIZE:
+            return
 
 
 def _queued(end: socket.socket) -> int:

@@ -13,7 +13,6 @@ import os
 import platform
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,7 +22,7 @@ import cv2
 import numpy as np
 
 from mscf import Box
-from mscf.errors import OutputError
+from mscf.whole_file import write_whole
 from sim.figure import check_plottable, mode_hex, mode_spans, plot_png
 from sim.scenarios import Act, Verdict
 from sim.trace import Moment, Trace
@@ -100,7 +99,7 @@ def prepare_folder(folder: Path) -> None:
         If no file can be written there, or Matplotlib is not installed.
     """
     check_plottable()
-    _write(folder / PAGE, b"")
+    write_whole(folder / PAGE, b"")
     for name in (PAGE, FILM, POSTER, PLOTS, VERDICT, TRACE):
         (folder / name).unlink(missing_ok=True)
 
@@ -116,15 +115,15 @@ def write_run(run: Run, folder: Path) -> None:
         If a file cannot be written, or Matplotlib is not installed.
     """
     plots = plot_png(f"{run.scenario}, {run.autopilot}", run.trace, run.acts)
-    _write(folder / PLOTS, plots)
-    _write(folder / TRACE, trace_csv(run.trace).encode())
-    _write(folder / VERDICT, verdict_json(run).encode())
+    write_whole(folder / PLOTS, plots)
+    write_whole(folder / TRACE, trace_csv(run.trace).encode())
+    write_whole(folder / VERDICT, verdict_json(run).encode())
     if (folder / FILM).is_file():
         poster = _poster(folder / FILM)
         if poster is not None:
-            _write(folder / POSTER, poster)
+            write_whole(folder / POSTER, poster)
     files = sorted({path.name for path in folder.iterdir() if path.is_file() and path.name[0] != "."} - {PAGE})
-    _write(folder / PAGE, run_page(run, files).encode())
+    write_whole(folder / PAGE, run_page(run, files).encode())
 
 
 def write_index(runs: Sequence[Run], folder: Path) -> None:
@@ -135,7 +134,7 @@ def write_index(runs: Sequence[Run], folder: Path) -> None:
     OutputError
         If it cannot be written.
     """
-    _write(folder / PAGE, index_page(runs).encode())
+    write_whole(folder / PAGE, index_page(runs).encode())
 
 
 # ------------------------------------------------------------------------------------------------ for programs
@@ -458,17 +457,6 @@ def _mark(is_passed: bool) -> str:  # noqa: FBT001
 
 
 # ------------------------------------------------------------------------------------------------ files
-def _write(path: Path, data: bytes) -> None:
-    """Write a file that is complete or absent."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}; give another folder") from error
 
 
 def _poster(film: Path) -> bytes | None:

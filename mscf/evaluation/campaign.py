@@ -36,6 +36,7 @@ from mscf.evaluation.peers import NO_MODELS, BoxTracker, Models, first_line, tra
 from mscf.evaluation.protocol import TRE_STARTS, Start, starts
 from mscf.evaluation.record import RUNS, Record, Run, read_record, write_record
 from mscf.geometry import Box
+from mscf.whole_file import write_whole
 
 EVALUATION = "evaluation.json"  # what an evaluation says of itself
 # results that differ in one of these do not go into one folder
@@ -184,13 +185,7 @@ def _read_about(path: Path) -> dict[str, Any]:
 
 
 def _write_about(folder: Path, about: Mapping[str, Any]) -> None:
-    part = folder / f"{EVALUATION}.part"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(about, indent=2) + "\n")
-        part.replace(folder / EVALUATION)
-    except OSError as error:
-        raise OutputError(f"{folder / EVALUATION} cannot be written: {error.strerror or error}") from error
+    write_whole(folder / EVALUATION, (json.dumps(about, indent=2) + "\n").encode())
 
 
 def _rest_of(left_out: Mapping[str, str], dataset: Dataset) -> dict[str, str]:

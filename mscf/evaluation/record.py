@@ -15,11 +15,11 @@ import numpy as np
 from mscf.errors import OutputError
 from mscf.evaluation.metrics import Errors
 from mscf.geometry import Box
+from mscf.whole_file import write_whole
 
 RUNS = "runs"  # folder of what is the same on every machine
 TIMES = "times"  # folder of the rest
 SUFFIX = ".csv"
-UNFINISHED = ".part"
 SEAL = "# mscf record 1, sha256 of what follows: "
 RUNS_HEAD = ("run", "frame", "x", "y", "w", "h", "is_lost", "overlap", "center_px", "center_norm")
 TIMES_HEAD = ("run", "frame", "update_ms")
@@ -63,8 +63,7 @@ def write_record(record: Record, folder: Path) -> None:
     with _naming(runs, "written"):
         runs.unlink(missing_ok=True)
     for path, data in ((times, times_data), (runs, runs_data)):
-        with _naming(path, "written"):
-            _write_whole(path, data)
+        write_whole(path, data)
 
 
 def read_record(folder: Path, tracker: str, sequence: str) -> Record | None:
@@ -205,22 +204,6 @@ def _read_rows(path: Path) -> tuple[str, list[list[str]]]:
         raise OutputError(f"{path} is damaged, or has been changed by hand: remove it, and run again")
     about, _head, *lines = body.decode("ascii").splitlines()
     return about.removeprefix("# "), [line.split(",") for line in lines]
-
-
-def _write_whole(path: Path, data: bytes) -> None:
-    """Write a file that a crash or a loss of power leaves as it was, or as it is to be."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + UNFINISHED)
-    with part.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # without it, the files under runs and times may be renamed on disk in another order
-    finally:
-        os.close(folder)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -20,6 +19,7 @@ from mscf.evaluation.report.strips import check_strips, draw_strips
 from mscf.evaluation.report.summary import summarize
 from mscf.evaluation.report.table import markdown, print_table, results_json, sequences_csv
 from mscf.figure import check_plottable
+from mscf.whole_file import write_whole
 
 __all__ = ["check_strips", "print_table", "write_report"]
 
@@ -69,9 +69,9 @@ def write_report(
     protocol, dataset = (str(circumstances.get(name) or "") for name in ("protocol", "dataset"))
     on = f" on {Path(dataset).name}" if dataset else ""
     title = f"Trackers compared{on}" + (f", {protocol.upper()}" if protocol else "")
-    _write(folder / TABLE, markdown(summary, title, skipped).encode())
-    _write(folder / SEQUENCES, sequences_csv(summary).encode())
-    _write(folder / RESULTS, results_json(summary, circumstances, skipped).encode())
+    write_whole(folder / TABLE, markdown(summary, title, skipped).encode())
+    write_whole(folder / SEQUENCES, sequences_csv(summary).encode())
+    write_whole(folder / RESULTS, results_json(summary, circumstances, skipped).encode())
 
     plots: tuple[Plot, ...] = ()
     notice = ""
@@ -88,7 +88,7 @@ def write_report(
     _replace(folder / STRIPS, {f"{_file_name(strip.sequence)}.png": _png(strip.picture) for strip in drawn})
 
     page = evaluation_page(summary, title, circumstances, skipped, plots, drawn, notice)
-    _write(folder / PAGE, page.encode())
+    write_whole(folder / PAGE, page.encode())
     return folder / PAGE, notice
 
 
@@ -122,7 +122,7 @@ def _replace(folder: Path, files: Mapping[str, bytes]) -> None:
         if path.name not in files:
             _remove(path)
     for name, data in files.items():
-        _write(folder / name, data)
+        write_whole(folder / name, data)
 
 
 def _remove(path: Path) -> None:
@@ -130,16 +130,3 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{path} cannot be removed: {error.strerror or error}") from error
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Write a file that is complete or absent."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}; give another folder") from error
