@@ -9,9 +9,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import assert_never
 
-import numpy as np
-
-from companion.camera_model import AttitudeHistory, CameraModel, ray_to, wrapped
+from companion.camera_model import AttitudeHistory, CameraModel, wrapped
 from companion.config import Config
 from companion.engagement import Reason, refusals
 from companion.guidance import (
@@ -25,13 +23,14 @@ from companion.guidance import (
     spotlight,
     turn,
 )
+from companion.hearing import Hearing, ResumeGuard
 from companion.modes import TRANSITIONS, Event, Mode, after
 from companion.safety import Place, SafeSetpoint, held_back_by, limit, stop
 from companion.target import (
     RangeReference,
     TargetEstimate,
     estimate,
-    height_of_middle_m,
+    expected,
     measure,
     range_fix,
     range_from_above,
@@ -64,25 +63,19 @@ from companion.types import (
     Text,
     TrackSample,
 )
-from companion.vehicle_state import MAX_RANGEFINDER_AGE_S, VehicleState
+from companion.vehicle_state import MAX_RANGEFINDER_AGE_S, VehicleState, jump_ne_m
 from mscf import Box, Expected
 
 MAX_FRAME_AGE_S = 0.3
 MAX_QUIET_S = 2.0  # since the last heartbeat: two have been lost, nothing moves until the third
 MAX_BLINK_S = 0.15  # for which frames without a measurement are no loss: the last box is not old yet
-MAX_HIDDEN_S = 3.0  # for which a hidden target is looked for where its motion would have taken it
 READY_FOR_S = 20.0  # how long zero setpoints flow for a pilot who is to select OFFBOARD
 REQUEST_EVERY_S = 1.0  # a flight mode that does not come is asked for again
-MAX_JUMP_M = 2.0  # between two positions, beyond what velocity explains: the local frame was reset, nothing moved
-MAX_JUMP_MPS2 = 10.0  # what velocity may have changed by in between
 MIN_BOX_PX = 3.0  # geometric mean of a measured box's sides: below, it is a speck on which any filter finds itself
 ABANDONED_S = 1.5  # after which a heartbeat is no old one that was waiting somewhere
-DEAF_S = 2.0  # for which an autopilot steers by zero while it is told to move: it does not hear
-DEAF_MPS = 0.5  # a setpoint that is less says nothing
 STREAM_GAP_S = 0.5  # without setpoints, after which PX4 (which wants more than 2 Hz) may leave OFFBOARD
 SILENCE_S = 1.0  # of the link, after which PX4 has left OFFBOARD: the default of COM_OF_LOSS_T
 NOTHING_SELECTED = Selection(0, None)
-_FAILSAFE_MODES = frozenset({FlightMode.RTL, FlightMode.LAND})  # which PX4 goes on to by itself
 _MODE_OF = {"hold": FlightMode.HOLD, "rtl": FlightMode.RTL, "land": FlightMode.LAND}
 
 
@@ -135,10 +128,8 @@ class _State:
     asked_s: float = -math.inf
     sticks: StickGuard = field(default_factory=StickGuard)
     switch: RcSwitch = field(default_factory=RcSwitch)
-    has_resume_guard: bool = False  # PX4 may have left OFFBOARD by failsafe: our stream alone would bring it back
-    is_answered: bool = False  # the last answer to a request for a mode, since then, was yes
-    heard_mode: FlightMode | None = None  # of the last heartbeat
-    deaf_since_s: float | None = None  # when the autopilot steered by zero for the first time, though told to move
+    guard: ResumeGuard = field(default_factory=ResumeGuard)
+    hearing: Hearing = field(default_factory=Hearing)
     left_s: float = -math.inf  # when the last setpoint was sent of which it is known that it has left
     had_height: bool = False  # whether the autopilot said its height over take-off at engagement
     unplaced_s: float | None = None  # since when the position is missing, engaged
@@ -212,32 +203,32 @@ class Controller:
             if isinstance(event, Rebooted):
                 self._attitudes.clear()
                 self._override(Reason.REBOOTED)
-                self._change(heard_mode=None)
+                self._change(guard=replace(self._state.guard, heard=None))
             if isinstance(event, ModeAnswer):
-                self._change(is_answered=event.is_accepted)
+                self._change(guard=replace(self._state.guard, is_answered=event.is_accepted))
             if isinstance(event, LocalState):
                 self._watch_frame(event)
             if isinstance(event, SetpointInForce) and now_s - self._state.left_s <= STREAM_GAP_S:
                 self._watch_obedience(event)  # after a stall of ours it has good reason to stand
             self._change(vehicle=self._state.vehicle.after(event))
+            was_external = self._state.guard.heard is FlightMode.EXTERNAL
             if isinstance(event, Heartbeat):
-                self._watch_resume(event, now_s)
+                leave_for = self._state.leave_for if self._state.mode is Mode.LEAVING else None
+                has_gap = now_s - self._state.left_s > STREAM_GAP_S
+                self._change(guard=self._state.guard.after(event, has_gap=has_gap, requested=leave_for))
             if isinstance(event, Heartbeat | LandedReading):
                 # each one: a mode that was left and came back since the last step was left
-                self._hear_the_autopilot(now_s)
-            if isinstance(event, Heartbeat):
-                self._change(heard_mode=event.mode)
+                self._hear_the_autopilot(was_external=was_external)
         self._hear_silence(now_s)
         self._hear_the_pilot(now_s)
 
-    def _hear_the_autopilot(self, now_s: float) -> None:
-        """End what the vehicle's state ends."""
+    def _hear_the_autopilot(self, *, was_external: bool) -> None:
+        """End what the vehicle's state ends, which before obeyed us or not."""
         state, vehicle, is_external = self._state, self._state.vehicle, self._is_external()
         if vehicle.heartbeat is not None and not (vehicle.heartbeat.is_armed and is_external):
             self._change(has_seen_other=True)
         if not state.mode.is_streaming:
             return
-        was_external = state.heard_mode is FlightMode.EXTERNAL
         if vehicle.heartbeat is not None and not vehicle.heartbeat.is_armed:
             self._override(Reason.DISARMED)
         elif vehicle.landed is not None and vehicle.landed.landed in {Landed.ON_GROUND, Landed.LANDING}:
@@ -300,58 +291,26 @@ class Controller:
     def _watch_frame(self, local: LocalState) -> None:
         """A local frame that jumps (a reset of the autopilot's estimator) takes what is kept in it along."""
         state, before = self._state, self._state.vehicle.local
-        if before is None or local.time_s <= before.time_s:
-            return
-        gap_s = local.time_s - before.time_s
-        jump_ne_m = tuple(
-            local.pos_ned_m[k]
-            - before.pos_ned_m[k]
-            - gap_s * (before.velocity_ned_mps[k] + local.velocity_ned_mps[k]) / 2
-            for k in (0, 1)
-        )
-        if math.hypot(*jump_ne_m) <= MAX_JUMP_M + MAX_JUMP_MPS2 * gap_s**2 / 2:
+        jump = jump_ne_m(before, local) if before is not None else None
+        if jump is None:
             return
         if state.target is not None:
             self._change(target=replace(state.target, north=None, east=None))
         if state.engaged_at_ne_m is not None:
             north_m, east_m = state.engaged_at_ne_m
-            self._change(engaged_at_ne_m=(north_m + jump_ne_m[0], east_m + jump_ne_m[1]))
+            self._change(engaged_at_ne_m=(north_m + jump[0], east_m + jump[1]))
         if state.mode.is_engaged:
             self._say(Severity.NOTICE, "Local position jumped: start shifted")
 
     def _watch_obedience(self, in_force: SetpointInForce) -> None:
-        """ArduPilot: the setpoint in force is zero once ours have not come for GUID_TIMEOUT; PX4 leaves OFFBOARD."""
         state = self._state
-        told_mps = math.hypot(*state.sent.velocity_ned_mps) if state.sent is not None else 0.0
-        is_deaf = told_mps > DEAF_MPS and not any(in_force.velocity_ned_mps) and not self._is_px4()
-        if not (is_deaf and state.mode.is_engaged):
-            self._change(deaf_since_s=None)
-        elif state.deaf_since_s is None:
-            self._change(deaf_since_s=in_force.time_s)
-        elif in_force.time_s - state.deaf_since_s >= DEAF_S:
-            self._leave(Reason.NOT_OBEYED, FlightMode.HOLD)
-            self._change(deaf_since_s=None)
-
-    def _watch_resume(self, heartbeat: Heartbeat, now_s: float) -> None:
-        """PX4: a stream that resumes after a gap brings OFFBOARD back by itself, unless a mode was commanded.
-
-        Who starts in the air does not know whether an earlier run of ours left such a gap. PX4 says yes to every
-        request before it says no: only its last answer and the heartbeat after it tell that it holds on command.
-        """
-        state, mode = self._state, heartbeat.mode
-        is_external, is_changed = mode is FlightMode.EXTERNAL, mode is not state.heard_mode
-        if heartbeat.autopilot is not Autopilot.PX4:
+        if not state.mode.is_engaged or self._is_px4():  # which leaves OFFBOARD where it does not hear us
             return
-        if state.heard_mode is None:
-            self._change(has_resume_guard=heartbeat.is_armed and not is_external, is_answered=False)
-        elif state.heard_mode is FlightMode.EXTERNAL and not is_external:
-            is_requested = state.mode is Mode.LEAVING and mode is state.leave_for
-            # PX4's heartbeat says CRITICAL while one of its failsafes acts: its own time-out, where we are not heard
-            is_failsafe = heartbeat.has_failsafe or (mode in _FAILSAFE_MODES and not is_requested)
-            if now_s - state.left_s > STREAM_GAP_S or is_failsafe:
-                self._change(has_resume_guard=True, is_answered=False)
-        elif (is_changed and mode not in _FAILSAFE_MODES) or (state.is_answered and mode is FlightMode.HOLD):
-            self._change(has_resume_guard=False)
+        told_mps = math.hypot(*state.sent.velocity_ned_mps) if state.sent is not None else 0.0
+        self._change(hearing=state.hearing.after(in_force, told_mps))
+        if self._state.hearing.is_deaf:
+            self._leave(Reason.NOT_OBEYED, FlightMode.HOLD)
+            self._change(hearing=Hearing())
 
     def _override(self, reason: Reason) -> None:
         """The vehicle is not ours any more: end at once, send nothing."""
@@ -363,7 +322,7 @@ class Controller:
     def _abandon(self, reason: Reason, now_s: float) -> None:
         """Send nothing more to a PX4 that has left OFFBOARD by its own time-out, or is about to."""
         self._override(reason)
-        self._change(has_resume_guard=True, is_answered=False, abandoned_s=now_s)
+        self._change(guard=self._state.guard.raised(), abandoned_s=now_s)
 
     def _leave(self, reason: Reason, towards: FlightMode) -> None:
         """End by our own will: stand, and ask the autopilot for another mode until it is there."""
@@ -527,7 +486,7 @@ class Controller:
             self._change(ready_until_s=now_s + READY_FOR_S, leave_for=FlightMode.HOLD, asked_s=-math.inf)
             self._event(Event.PREPARE)
             self._say(Severity.NOTICE, "Ready: select OFFBOARD, then engage")
-        elif set(against) == {Reason.WRONG_MODE, Reason.RESUME_GUARD} and state.heard_mode is FlightMode.HOLD:
+        elif set(against) == {Reason.WRONG_MODE, Reason.RESUME_GUARD} and state.guard.heard is FlightMode.HOLD:
             # nowhere else: neither the sticks nor a way home that somebody chose are for us to end
             self._request = FlightMode.HOLD
             self._say(Severity.NOTICE, "Asked PX4 for Hold: engage again")
@@ -557,7 +516,7 @@ class Controller:
             auto_done=True,
             leave_for=FlightMode.HOLD,
             asked_s=-math.inf,
-            deaf_since_s=None,
+            hearing=Hearing(),
         )
         if not state.vehicle.has_height(now_s):
             self._say(Severity.WARNING, "No height over take-off: that of local frame")
@@ -578,7 +537,7 @@ class Controller:
             self._config,
             now_s,
             is_stick_moved=state.sticks.since_s is not None,
-            has_resume_guard=state.has_resume_guard,
+            has_resume_guard=state.guard.is_up,
         )
 
     # ------------------------------------------------------------------------------- the ladder
@@ -710,27 +669,10 @@ class Controller:
     def _expected(self, now_s: float) -> Expected | None:
         """Where the target should be in a frame taken now; None without an idea, or behind the camera."""
         state, attitude = self._state, self._attitudes.newest
-        target, camera = state.target, self._camera
-        if target is None or attitude is None or camera is None:
+        if state.target is None or attitude is None or self._camera is None:
             return None
-        # a target that hides is assumed to go on for a while, then to have stopped
-        until_s = min(now_s, target.seen.time_s + MAX_HIDDEN_S)
-        place, local = target.place_ne_m(until_s), state.vehicle.fresh_local(now_s)
-        height_m = state.vehicle.height_over_ground_m(now_s)
-        if place is not None and local is not None and height_m is not None:
-            gap_s = now_s - local.time_s
-            north_m, east_m = (local.pos_ned_m[k] + local.velocity_ned_mps[k] * gap_s for k in (0, 1))
-            # its foot is there; its middle is as much higher as it was last
-            over_m = height_of_middle_m(target)
-            ned = np.array([place[0] - north_m, place[1] - east_m, height_m - over_m])
-            growth = target.slant_m / max(float(np.linalg.norm(ned)), 1.0)
-        else:
-            bearing_rad, depression_rad = target.bearing_at(until_s), target.seen.depression_rad
-            flat = math.cos(depression_rad)
-            growth = 1.0
-            ned = np.array([flat * math.cos(bearing_rad), flat * math.sin(bearing_rad), math.sin(depression_rad)])
-        xy = camera.pixel(ray_to(ned, attitude))
-        return Expected((xy[0] + 0.5, xy[1] + 0.5), growth) if xy is not None else None
+        local, height_m = state.vehicle.fresh_local(now_s), state.vehicle.height_over_ground_m(now_s)
+        return expected(state.target, self._camera, attitude, local, height_m, now_s)
 
     # ------------------------------------------------------------------------------- small change
     def _is_external(self) -> bool:

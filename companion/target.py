@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.camera_model import CameraModel, direction, wrapped
+from companion.camera_model import CameraModel, direction, ray_to, wrapped
 from companion.types import Attitude, LocalState
-from mscf import Box
+from mscf import Box, Expected
 from mscf.arrays import Real64
 
 BEARING_TAU_S = 0.3  # time constants of the filters
@@ -18,6 +18,7 @@ MIN_DEPRESSION_RAD = math.radians(12.0)  # of the box's foot: below, a degree of
 MAX_SOURCE_RATIO = 1.4  # sources of range that disagree by more are in conflict
 MAX_SPEED_MPS = 30.0  # of a target; more is an error of measurement
 RELEARN_TAU_S = 4.0
+MAX_HIDDEN_S = 3.0  # for which a hidden target is looked for where its motion would have taken it
 _EDGE_PX = 1.5
 _SIZE_LOG_SIGMA = 0.15  # of a range by size: the box's scale steps by two per cent and its target turns
 _HEIGHT_LOG_SIGMA = 0.05  # of the height over the target's ground
@@ -248,6 +249,36 @@ def estimate(
         north = _moved(before.north, place[0], dt_s)
         east = _moved(before.east, place[1], dt_s)
     return TargetEstimate(seen, bearing, size, fix, north, east)
+
+
+def expected(
+    target: TargetEstimate,
+    camera: CameraModel,
+    attitude: Attitude,
+    local: LocalState | None,
+    height_m: float | None,
+    now_s: float,
+) -> Expected | None:
+    """Where the target should be in a frame taken now, and how large over its last size; None: behind the camera.
+
+    Where the vehicle's place or height is not known, it is where it was seen last, turned on by its bearing's rate.
+    """
+    # a target that hides is assumed to go on for a while, then to have stopped
+    until_s = min(now_s, target.seen.time_s + MAX_HIDDEN_S)
+    place = target.place_ne_m(until_s)
+    if place is not None and local is not None and height_m is not None:
+        gap_s = now_s - local.time_s
+        north_m, east_m = (local.pos_ned_m[k] + local.velocity_ned_mps[k] * gap_s for k in (0, 1))
+        # its foot is there; its middle is as much higher as it was last
+        ned = np.array([place[0] - north_m, place[1] - east_m, height_m - height_of_middle_m(target)])
+        growth = target.slant_m / max(float(np.linalg.norm(ned)), 1.0)
+    else:
+        bearing_rad, depression_rad = target.bearing_at(until_s), target.seen.depression_rad
+        flat = math.cos(depression_rad)
+        growth = 1.0
+        ned = np.array([flat * math.cos(bearing_rad), flat * math.sin(bearing_rad), math.sin(depression_rad)])
+    xy = camera.pixel(ray_to(ned, attitude))
+    return Expected((xy[0] + 0.5, xy[1] + 0.5), growth) if xy is not None else None
 
 
 def _place(seen: Measurement, fix: RangeFix | None, local: LocalState | None) -> tuple[float, float] | None:

@@ -1,5 +1,6 @@
 """What is known of the vehicle: the newest reading of each kind, folded from the link's events."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 from companion.types import (
@@ -23,6 +24,8 @@ MAX_ATTITUDE_AGE_S = 0.3
 MAX_POSITION_AGE_S = 0.5
 MAX_RANGEFINDER_AGE_S = 0.5
 MAX_RC_AGE_S = 2.0
+MAX_JUMP_M = 2.0  # of a position, beyond what velocity explains
+MAX_ACCELERATION_MPS2 = 10.0  # by which velocity may have changed in between
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,3 +116,19 @@ class VehicleState:
         if self.landed is None or self.landed.landed is Landed.UNKNOWN:
             return None
         return self.landed.landed is Landed.IN_AIR
+
+
+def jump_ne_m(before: LocalState, after: LocalState) -> tuple[float, float] | None:
+    """By how much the local frame has moved between two states, north and east; None where the vehicle has moved.
+
+    An estimator that is reset lets the position jump by more than the velocities explain.
+    """
+    gap_s = after.time_s - before.time_s
+    if gap_s <= 0:
+        return None
+    north_m, east_m = (
+        after.pos_ned_m[k] - before.pos_ned_m[k] - gap_s * (before.velocity_ned_mps[k] + after.velocity_ned_mps[k]) / 2
+        for k in (0, 1)
+    )
+    is_jump = math.hypot(north_m, east_m) > MAX_JUMP_M + MAX_ACCELERATION_MPS2 * gap_s**2 / 2
+    return (north_m, east_m) if is_jump else None

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 from cockpit import STEP_S, ZERO, Cockpit, brought_to, sent, speed_mps
 
-from companion.controller import DEAF_MPS, DEAF_S, ControlOutput
+from companion.controller import ControlOutput
 from companion.engagement import Reason
+from companion.hearing import DEAF_MPS, DEAF_S
 from companion.modes import Mode
 from companion.types import (
     Autopilot,
