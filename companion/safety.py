@@ -8,6 +8,7 @@ from companion.types import Setpoint, Vector
 
 _MINT = object()
 NOTED_MPS = 0.1  # of a wish that is cut off; less is not worth a word
+RESPONSE_S = 0.5  # by which a vehicle lags behind its setpoint
 MAX_STEP_S = 0.2  # a loop that stalled longer must not slew by as much more
 
 
@@ -42,7 +43,7 @@ def limit(wish: Setpoint, before: SafeSetpoint | None, place: Place, limits: Lim
 
     Speed is clamped as a vector, then the change since `before` is slewed, then the envelope cuts off what would leave
     it: it only ever makes a setpoint smaller. Near the radius the speed outwards falls with the square root
-    of the distance, so that the limit of acceleration is enough to stop there.
+    of the distance, so that the limit of acceleration is enough to stop there, half a second of lag included.
 
     Promised for every input: the numbers are finite and inside the limits; no speed or rate grows by more than its
     limit of acceleration times `dt_s`. A stop and the envelope may shorten it by more.
@@ -122,6 +123,9 @@ def _inside_radius(
         return velocity_ne_mps
     out = from_engagement_ne_m[0] / distance_m, from_engagement_ne_m[1] / distance_m
     outwards_mps = velocity_ne_mps[0] * out[0] + velocity_ne_mps[1] * out[1]
-    top_mps = math.sqrt(2 * limits.acceleration_mps2 * max(limits.radius_m - distance_m, 0.0))
+    # from such a speed it stands at the radius: it flies on for a while, then brakes
+    late_mps = limits.acceleration_mps2 * RESPONSE_S
+    rest_m = max(limits.radius_m - distance_m, 0.0)
+    top_mps = math.sqrt(late_mps**2 + 2 * limits.acceleration_mps2 * rest_m) - late_mps
     excess_mps = max(outwards_mps - top_mps, 0.0)
     return velocity_ne_mps[0] - excess_mps * out[0], velocity_ne_mps[1] - excess_mps * out[1]

@@ -246,7 +246,9 @@ class LongTermTracker:
 
     def _is_measurement(self, frame: Image, found: TrackResult) -> bool:
         is_inside = share_inside(found.box, frame) >= MIN_SHARE_INSIDE
-        return found.confidence >= self._policy.unsure_below and is_inside and not found.is_held
+        # a box that cannot shrink on with its target finds the place where the target was, and a size that never was
+        is_sized = not found.is_held and not found.is_smallest
+        return found.confidence >= self._policy.unsure_below and is_inside and is_sized
 
     def _may_be_target(self, frame: Image, found: TrackResult, memory: Memory) -> bool:
         policy = self._policy

@@ -35,6 +35,7 @@ class TrackResult:
     scale: float  # size of the target over its size in the first frame
     confidence: float  # 0..1: how likely the box holds the target; see mscf.confidence for what that is worth
     is_held: bool = False  # the target seems hidden: the box is where it was seen last
+    is_smallest: bool = False  # the box is as small as it can become: the target may be smaller still
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +308,8 @@ def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, floa
 def result_of(state: State, peak: float, threat: float, sure: float, plan: Plan) -> TrackResult:
     """What is said of a frame that led to `state`."""
     box, scale = plan.box_at(state.pos_rc, state.scale), state.scale / plan.first_scale
-    return TrackResult(box, peak, threat, scale, sure, is_held=state.held > 0)
+    is_smallest = state.scale <= plan.scale.limits[0] < plan.first_scale
+    return TrackResult(box, peak, threat, scale, sure, is_held=state.held > 0, is_smallest=is_smallest)
 
 
 def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:

@@ -228,6 +228,12 @@ def _farthest_m(trace: Trace) -> float:
     return max(math.dist(m.pose.pos_ned_m[:2], flown[0].pose.pos_ned_m[:2]) for m in flown)
 
 
+def _followed_to_m(trace: Trace) -> float:
+    """True range of the last moment that was followed."""
+    followed = [m for m in trace.moments if m.mode == "following"]
+    return followed[-1].true_range_m if followed else math.nan
+
+
 def _height_span_m(trace: Trace) -> float:
     heights = [m.height_m for m in trace.moments]
     return max(heights) - min(heights)
@@ -433,6 +439,7 @@ SCENARIOS: dict[str, Scenario] = {
             (
                 *SAFE,
                 Check("farthest from the place of engagement", "m", _farthest_m, least=50, most=151),
+                Check("range up to which it believes the box, which is a speck by then", "m", _followed_to_m, most=270),
                 Check("speed at the end", "m/s", _speed_after(74.0), most=0.7),
             ),
             settings=_LIMITS.replace("speed_mps = 10", "speed_mps = 6").replace("radius_m = 5000", "radius_m = 150"),

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config import LimitsConfig
-from companion.safety import MAX_STEP_S, Place, SafeSetpoint, held_back_by, limit, stop
+from companion.safety import MAX_STEP_S, RESPONSE_S, Place, SafeSetpoint, held_back_by, limit, stop
 from companion.types import ZERO, Setpoint
 
 LIMITS = LimitsConfig()
@@ -61,8 +61,9 @@ def assert_inside(safe: SafeSetpoint, place: Place, limits: LimitsConfig) -> Non
     distance_m = math.hypot(*place.from_engagement_ne_m)
     if 1e-3 <= distance_m < math.inf:
         out = [part / distance_m for part in place.from_engagement_ne_m]
-        top_mps = math.sqrt(2 * limits.acceleration_mps2 * max(limits.radius_m - distance_m, 0))
-        assert north * out[0] + east * out[1] <= top_mps + 1e-9
+        outwards_mps = max(north * out[0] + east * out[1], 0.0)
+        to_stand_m = outwards_mps * RESPONSE_S + outwards_mps**2 / (2 * limits.acceleration_mps2)
+        assert to_stand_m <= max(limits.radius_m - distance_m, 0) * (1 + 1e-9) + 1e-6
     elif not distance_m < math.inf:
         assert (north, east) == (0, 0)
 

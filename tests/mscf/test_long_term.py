@@ -240,6 +240,22 @@ def test_a_constant_picture_ends_as_a_loss(scene: Scene) -> None:
     ("change", "passes"),
     [
         ({}, True),
+        ({"confidence": 0.39}, False),
+        ({"is_held": True}, False),
+        ({"is_smallest": True}, False),
+        ({"box": Box(-21, 100, 40, 30)}, False),  # more than half of it outside
+    ],
+)
+def test_a_box_has_to_be_all_this_to_be_a_measurement(scene: Scene, change: dict[str, Any], *, passes: bool) -> None:
+    run = Run(scene)
+    good = TrackResult(BOX, peak=0.5, threat=0.1, scale=1.0, confidence=0.4)
+    assert run.tracker._is_measurement(scene.with_target(), replace(good, **change)) is passes
+
+
+@pytest.mark.parametrize(
+    ("change", "passes"),
+    [
+        ({}, True),
         ({"confidence": 0.49}, False),
         ({"is_held": True}, False),
         ({"scale": 2.1}, False),

@@ -1,7 +1,7 @@
 """The tracker's promises: it follows by construction, keeps finite, and survives what it refuses."""
 
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import cv2
@@ -10,6 +10,7 @@ import pytest
 
 from mscf import PRESETS, Box, BoxError, FrameError, Tracker, TrackerConfig, TrackerNotInitialisedError
 from mscf.arrays import Image
+from mscf.tracker import result_of
 
 BOX = Box(140, 100, 40, 30)
 
@@ -506,3 +507,13 @@ def test_init_may_be_called_again_for_another_target(frame: Image) -> None:
     again.init(frame, other)
     fresh.init(frame, other)
     assert again.update(frame) == fresh.update(frame)
+
+
+def test_a_box_that_cannot_shrink_further_is_said_to_be_the_smallest(frame: Image) -> None:
+    plan, state = (snapshot := followed(frame).snapshot()).plan, snapshot.state
+    least = plan.scale.limits[0]
+    assert least < plan.first_scale
+    for scale, is_smallest in ((least, True), (1.02 * least, False), (plan.first_scale, False)):
+        assert result_of(replace(state, scale=scale), 0.5, 0.1, 0.9, plan).is_smallest is is_smallest
+    tiny = replace(plan, scale=replace(plan.scale, limits=(plan.first_scale, 9.0)))  # as small as that from the first
+    assert not result_of(state, 0.5, 0.1, 0.9, tiny).is_smallest
