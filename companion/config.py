@@ -17,7 +17,7 @@ from companion.errors import ConfigError
 from mscf import PRESETS
 
 FILE_NAME = "config.toml"
-MIN_CENTRE_PX = 4.0
+MIN_CENTRE_PX = 4.0  # of a first box, as the tracker takes it
 SETPOINT_BITS = 650  # of one on a serial line: 65 bytes, each with a start and a stop bit
 MAX_LINE_SHARE = 0.25  # of a serial line for setpoints: a queue of 512 bytes is a tenth of a second old then
 MIN_RANGE_M = 3.0  # to be held horizontally; as follow.nominal_range_m

@@ -31,6 +31,7 @@ from companion.target import (
     TargetEstimate,
     estimate,
     expected,
+    is_speck,
     measure,
     range_fix,
     range_from_above,
@@ -71,7 +72,6 @@ MAX_QUIET_S = 2.0  # since the last heartbeat: two have been lost, nothing moves
 MAX_BLINK_S = 0.15  # for which frames without a measurement are no loss: the last box is not old yet
 READY_FOR_S = 20.0  # how long zero setpoints flow for a pilot who is to select OFFBOARD
 REQUEST_EVERY_S = 1.0  # a flight mode that does not come is asked for again
-MIN_BOX_PX = 3.0  # geometric mean of a measured box's sides: below, it is a speck on which any filter finds itself
 ABANDONED_S = 1.5  # after which a heartbeat is no old one that was waiting somewhere
 STREAM_GAP_S = 0.5  # without setpoints, after which PX4 (which wants more than 2 Hz) may leave OFFBOARD
 SILENCE_S = 1.0  # of the link, after which PX4 has left OFFBOARD: the default of COM_OF_LOSS_T
@@ -714,13 +714,7 @@ def _is_sane(box: Box) -> bool:
 
 
 def _is_in_frame(box: Box, size_hw: tuple[int, int]) -> bool:
-    """Whether a measured box can be one: its middle in the frame, no speck, at most twice the frame in size."""
+    """Whether a measured box can be one: its middle in the frame, at most twice the frame in size, and no speck."""
     (u, v), (height, width) = box.center_xy, size_hw
     is_inside = 0 <= u <= width and 0 <= v <= height
-    return (
-        box.is_finite
-        and is_inside
-        and 0 < box.w <= 2 * width
-        and 0 < box.h <= 2 * height
-        and box.w * box.h >= MIN_BOX_PX**2
-    )
+    return box.is_finite and is_inside and 0 < box.w <= 2 * width and 0 < box.h <= 2 * height and not is_speck(box)

@@ -4,7 +4,7 @@ from enum import Enum
 
 from companion.config import MIN_RANGE_M, Config
 from companion.modes import Mode
-from companion.target import TargetEstimate
+from companion.target import TargetEstimate, is_speck
 from companion.types import FlightMode, Selection, TrackSample
 from companion.vehicle_state import VehicleState
 
@@ -17,6 +17,7 @@ class Reason(Enum):
 
     NO_TARGET = "no target"
     TARGET_UNSURE = "target not sure"
+    TARGET_SMALL = "target smaller than 9 px"
     LOW_CONFIDENCE = "confidence too low"
     NO_HEARTBEAT = "no autopilot"
     UNSUPPORTED_VEHICLE = "not a multicopter"
@@ -72,6 +73,7 @@ def refusals(
     local, height_m = vehicle.fresh_local(now_s), vehicle.height_m(now_s)
     is_seen = mode in {Mode.TRACKING, Mode.READY, Mode.AWAITING, Mode.FOLLOWING}
     confidence = sample.confidence if sample is not None else 0.0
+    is_small = sample is not None and sample.is_measured and sample.box is not None and is_speck(sample.box)
     says_it_flies = vehicle.landed is not None and now_s - vehicle.landed.time_s <= MAX_LANDED_AGE_S
     is_above, is_behind = config.follow.mode == "overhead", config.follow.mode == "follow"
     fix = target.fix if target is not None else None
@@ -79,6 +81,7 @@ def refusals(
     checks = (
         (not has_target, Reason.NO_TARGET),
         (has_target and not is_seen, Reason.TARGET_UNSURE),
+        (is_small, Reason.TARGET_SMALL),
         (is_seen and not confidence >= config.engage.min_confidence, Reason.LOW_CONFIDENCE),  # nan refuses
         (not vehicle.is_alive(now_s), Reason.NO_HEARTBEAT),
         (heartbeat is not None and not heartbeat.is_multicopter, Reason.UNSUPPORTED_VEHICLE),

@@ -10,6 +10,7 @@ from companion.types import Attitude, LocalState
 from mscf import Box, Expected
 from mscf.arrays import Real64
 
+MIN_BOX_PX = 9.0  # geometric mean of a box's sides: of a smaller one the tracker cannot tell the size any more
 BEARING_TAU_S = 0.3  # time constants of the filters
 PLACE_TAU_S = 0.8
 SIZE_TAU_S = 0.5
@@ -25,6 +26,11 @@ _HEIGHT_LOG_SIGMA = 0.05  # of the height over the target's ground
 _ATTITUDE_SIGMA_RAD = math.radians(1.0)
 _FINDER_LOG_SIGMA = 0.05
 _FINDER_CONE_RAD = math.radians(4.0)  # a forward rangefinder hits the target only where the nose points at it
+
+
+def is_speck(box: Box) -> bool:
+    """Whether a box is too small to be followed: it would stay where the target was, at a size that it never had."""
+    return box.w * box.h < MIN_BOX_PX**2
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,7 +138,8 @@ SIGNS = {
 def test_the_signs_are_those_of_the_flight_controller(mode: str) -> None:
     out = StringIO()
     pitch = "-90" if mode == "overhead" else "-30"
-    print_signs(parse(f'{CAMERA.replace("-30", pitch)}[follow]\nmode = "{mode}"'), out)
+    camera = f"[camera]\nwidth_px = 640\nheight_px = 480\nfocal_px = 600\nmount_pitch_deg = {pitch}\n"
+    print_signs(parse(f'{camera}[follow]\nmode = "{mode}"'), out)
     lines = out.getvalue().splitlines()[1:]
     assert [line.split()[1] for line in lines] == ["left", "right", "above", "below", "near", "far"]
     for line, wanted in zip(lines, SIGNS[mode], strict=True):

@@ -29,7 +29,7 @@ from companion.types import (
     TrackSample,
 )
 from companion.vehicle_state import VehicleState
-from mscf import TrackStatus
+from mscf import Box, TrackStatus
 
 NOW_S = 100.0
 OVERHEAD = parse(
@@ -106,6 +106,11 @@ def with_vehicle(s: Situation, **changes: object) -> Situation:
     return replace(s, vehicle=replace(s.vehicle, **changes))
 
 
+def with_box(s: Situation, box: Box) -> Situation:
+    assert s.sample is not None
+    return replace(s, sample=replace(s.sample, box=box))
+
+
 def with_confidence(s: Situation, confidence: float) -> Situation:
     assert s.sample is not None
     return replace(s, sample=replace(s.sample, confidence=confidence))
@@ -116,6 +121,7 @@ CLIMBING = LocalState(NOW_S, (0.0, 0.0, -20.0), (0.0, 0.0, -0.71))
 CASES: dict[str, tuple[Reason, Callable[[Situation], Situation]]] = {
     "nothing selected": (Reason.NO_TARGET, lambda s: replace(s, selection=Selection(2, None), mode=Mode.IDLE)),
     "lost": (Reason.TARGET_UNSURE, lambda s: replace(s, mode=Mode.LOST)),
+    "small": (Reason.TARGET_SMALL, lambda s: with_box(s, Box(300, 225, 8.9, 9.0))),
     "not seen yet": (Reason.TARGET_UNSURE, lambda s: replace(s, mode=Mode.IDLE)),
     "confidence low": (Reason.LOW_CONFIDENCE, lambda s: with_confidence(s, 0.49)),
     "confidence nan": (Reason.LOW_CONFIDENCE, lambda s: with_confidence(s, math.nan)),
