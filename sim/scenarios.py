@@ -220,12 +220,13 @@ def _least_distance_m(trace: Trace) -> float:
 
 
 def _farthest_m(trace: Trace) -> float:
-    """Farthest that the vehicle went from where it was engaged."""
+    """Farthest from where it was engaged that the vehicle was told to move; what stands may drift."""
     first_s = trace.first("following")
     if first_s is None:
         return math.nan
     flown = trace.between(first_s)
-    return max(math.dist(m.pose.pos_ned_m[:2], flown[0].pose.pos_ned_m[:2]) for m in flown)
+    told = [m for m in flown if any(m.setpoint_ned_mps or ())]
+    return max((math.dist(m.pose.pos_ned_m[:2], flown[0].pose.pos_ned_m[:2]) for m in told), default=math.nan)
 
 
 def _followed_to_m(trace: Trace) -> float:
@@ -438,7 +439,7 @@ SCENARIOS: dict[str, Scenario] = {
             75,
             (
                 *SAFE,
-                Check("farthest from the place of engagement", "m", _farthest_m, least=50, most=151),
+                Check("farthest from the engagement, told to move", "m", _farthest_m, least=50, most=151),
                 Check("range up to which it believes the box, which is a speck by then", "m", _followed_to_m, most=270),
                 Check("speed at the end", "m/s", _speed_after(74.0), most=0.7),
             ),

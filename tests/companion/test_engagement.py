@@ -168,6 +168,7 @@ CASES: dict[str, tuple[Reason, Callable[[Situation], Situation]]] = {
 # pairs that touch the same thing: the second would undo the first, or hides it
 CLASHES = [
     {"nothing selected", "lost", "not seen yet", "confidence low", "confidence nan", "no sample", "none at frame time"},
+    {"small", "no sample"},
     {"on ground", "taking off", "landing", "does not know", "does not say", "said so long ago"},
     {"sinking", "climbing", "position old", "no position"},
     {"pilot's mode", "any other mode"},
