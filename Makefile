@@ -7,12 +7,18 @@ OUT := out
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test lint bench clean
+# for `make results`: sequences with ground truth, and the models of OpenCV's tracker nano; neither is part of this
+SEQUENCES ?= ../shared/sequences
+NANO ?= ../shared/reference/nanotrack/nanotrack_backbone_sim.onnx ../shared/reference/nanotrack/nanotrack_head_sim.onnx
+TRACKERS ?= mscf reference paper bacf bacf+al bacf+ahl csrt kcf mosse mil nano
+
+.PHONY: help demo test lint bench results clean
 help:
 	@echo "make demo   fly the closed loop in the simulator; video, plots, verdict and a page in $(OUT)/demo/"
 	@echo "make test   all tests"
 	@echo "make lint   ruff, mypy, import-linter"
 	@echo "make bench  milliseconds by stage, beside OpenCV's CSRT"
+	@echo "make results  accuracy on SEQUENCES, by OPE, TRE and SRE; hours; goes on where it was interrupted"
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mscf-companion sim --out $(OUT)/demo
@@ -30,6 +36,12 @@ lint: $(VENV)/installed
 bench: $(BENCH_VENV)/installed
 	$(BENCH_VENV)/bin/mscf bench
 
+results: $(BENCH_VENV)/installed
+	for protocol in ope tre sre; do \
+	  $(BENCH_VENV)/bin/mscf eval $(SEQUENCES) --tracker $(TRACKERS) --nano $(NANO) --protocol $$protocol --jobs 2 \
+	    --out $(OUT)/results/$$protocol --resume || exit; \
+	done
+
 clean:
 	rm -rf $(VENV) $(BENCH_VENV) $(OUT)
 
@@ -40,6 +52,6 @@ $(VENV)/installed: pyproject.toml constraints.txt
 
 $(BENCH_VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(BENCH_VENV)
-	$(BENCH_VENV)/bin/pip install -q numpy opencv-contrib-python-headless threadpoolctl tqdm
+	$(BENCH_VENV)/bin/pip install -q numpy opencv-contrib-python-headless threadpoolctl tqdm matplotlib
 	$(BENCH_VENV)/bin/pip install -q --no-deps -e .
 	@touch $@
