@@ -118,7 +118,7 @@ def _v4l2_frames(config: CameraConfig) -> Iterator[Captured]:
             is_grabbed = capture.grab()
             now_s = time.monotonic()  # before decoding, which takes its time
             captured_s = captured_at(capture.get(cv2.CAP_PROP_POS_MSEC), now_s, is_trusted=is_stamped)
-            is_stamped = captured_s != now_s
+            is_stamped = is_stamped or captured_s != now_s
             is_read, image = capture.retrieve() if is_grabbed else (False, None)
             if not is_read or image is None:
                 raise CameraLostError(f"{config.source} delivers no frames any more: was it unplugged?")

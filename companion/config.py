@@ -15,9 +15,9 @@ from typing import Any, get_type_hints
 
 from companion.errors import ConfigError
 from mscf import PRESETS
+from mscf.frame import MIN_BOX_PX  # of a first box
 
 FILE_NAME = "config.toml"
-MIN_CENTRE_PX = 4.0  # of a first box, as the tracker takes it
 SETPOINT_BITS = 650  # of one on a serial line: 65 bytes, each with a start and a stop bit
 MAX_LINE_SHARE = 0.25  # of a serial line for setpoints: a queue of 512 bytes is a tenth of a second old then
 MIN_RANGE_M = 3.0  # to be held horizontally; as follow.nominal_range_m
@@ -389,10 +389,10 @@ def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
             ),
         ),
         (
-            select.centre_share * camera.height_px < MIN_CENTRE_PX,
+            select.centre_share * camera.height_px < MIN_BOX_PX,
             (
                 f"select.centre_share = {select.centre_share:g} of camera.height_px = {camera.height_px} is no "
-                f"{MIN_CENTRE_PX:g} px: nothing so small is tracked"
+                f"{MIN_BOX_PX:g} px: nothing so small is tracked"
             ),
         ),
         (

@@ -64,7 +64,7 @@ from companion.types import (
     Text,
     TrackSample,
 )
-from companion.vehicle_state import MAX_RANGEFINDER_AGE_S, VehicleState, jump_ne_m
+from companion.vehicle_state import MAX_POSITION_AGE_S, MAX_RANGEFINDER_AGE_S, VehicleState, jump_ne_m
 from mscf import Box, Expected
 
 MAX_FRAME_AGE_S = 0.3
@@ -132,7 +132,6 @@ class _State:
     hearing: Hearing = field(default_factory=Hearing)
     left_s: float = -math.inf  # when the last setpoint was sent of which it is known that it has left
     had_height: bool = False  # whether the autopilot said its height over take-off at engagement
-    unplaced_s: float | None = None  # since when the position is missing, engaged
     abandoned_s: float = math.inf  # when a PX4 was left to its own time-out without a word
 
 
@@ -282,11 +281,8 @@ class Controller:
 
     def _is_unplaced(self, now_s: float) -> bool:
         """Whether the position has been missing for so long that nobody expects the vehicle to go on by itself."""
-        state = self._state
-        is_missing = state.mode.is_engaged and state.vehicle.fresh_local(now_s) is None
-        since_s = (now_s if state.unplaced_s is None else state.unplaced_s) if is_missing else None
-        self._change(unplaced_s=since_s)
-        return since_s is not None and now_s - since_s > self._config.loss.confirm_after_s
+        local, longest_s = self._state.vehicle.local, MAX_POSITION_AGE_S + self._config.loss.confirm_after_s
+        return self._state.mode.is_engaged and (local is None or now_s - local.time_s > longest_s)
 
     def _watch_frame(self, local: LocalState) -> None:
         """A local frame that jumps (a reset of the autopilot's estimator) takes what is kept in it along."""
@@ -520,7 +516,7 @@ class Controller:
         )
         if not state.vehicle.has_height(now_s):
             self._say(Severity.WARNING, "No height over take-off: that of local frame")
-        self._change(had_height=state.vehicle.has_height(now_s), unplaced_s=None, abandoned_s=math.inf)
+        self._change(had_height=state.vehicle.has_height(now_s), abandoned_s=math.inf)
         if not state.vehicle.has_transmitter(now_s):
             self._say(Severity.WARNING, "No transmitter seen: no stick guard")
         self._say(Severity.NOTICE, f"Following ({self._config.follow.mode})")

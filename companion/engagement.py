@@ -4,7 +4,7 @@ from enum import Enum
 
 from companion.config import MIN_RANGE_M, Config
 from companion.modes import Mode
-from companion.target import TargetEstimate, is_speck
+from companion.target import MIN_BOX_PX, TargetEstimate, is_speck
 from companion.types import FlightMode, Selection, TrackSample
 from companion.vehicle_state import VehicleState
 
@@ -17,7 +17,7 @@ class Reason(Enum):
 
     NO_TARGET = "no target"
     TARGET_UNSURE = "target not sure"
-    TARGET_SMALL = "target smaller than 9 px"
+    TARGET_SMALL = f"target smaller than {MIN_BOX_PX:g} px"
     LOW_CONFIDENCE = "confidence too low"
     NO_HEARTBEAT = "no autopilot"
     UNSUPPORTED_VEHICLE = "not a multicopter"

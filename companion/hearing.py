@@ -49,15 +49,11 @@ class ResumeGuard:
         has_gap : whether our stream stops, or does not leave.
         requested : the mode that we ask for at this time.
         """
-        guard = self._after(heartbeat, has_gap, requested) if heartbeat.autopilot is Autopilot.PX4 else self
+        is_px4 = heartbeat.autopilot is Autopilot.PX4
+        guard = self._of_px4(heartbeat, has_gap=has_gap, requested=requested) if is_px4 else self
         return replace(guard, heard=heartbeat.mode)
 
-    def _after(
-        self,
-        heartbeat: Heartbeat,
-        has_gap: bool,  # noqa: FBT001 - of `after`
-        requested: FlightMode | None,
-    ) -> "ResumeGuard":
+    def _of_px4(self, heartbeat: Heartbeat, *, has_gap: bool, requested: FlightMode | None) -> "ResumeGuard":
         mode = heartbeat.mode
         is_external = mode is FlightMode.EXTERNAL
         if self.heard is None:

@@ -18,13 +18,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from sitl import Sitl
 
 from companion.control_socket import ask
 from companion.frame_stream import packed_header
 from sim.camera import observe
 from sim.realtime import fake_autopilot
 from sim.scenarios import SCENARIOS
-from sim.server import CameraServer, RealTime, TcpEnd, UdpEnd
+from sim.server import CameraServer, RealTime, UdpEnd
 from sim.stages import stage
 
 COMPANION = str(Path(sys.executable).with_name("mscf-companion"))
@@ -224,24 +225,10 @@ def test_a_flight_in_the_simulator_passes_and_leaves_its_report(tmp_path: Path, 
 @pytest.fixture
 def px4_device() -> Iterator[str]:
     """A PX4 that somebody has flown up, behind a TCP port, as its SITL is."""
-    autopilot = fake_autopilot(SCENARIOS["straight"], stage("straight", 7), "px4")
-    end, stop = TcpEnd(), threading.Event()
-
-    def serve() -> None:
-        before_s = time.monotonic()
-        while not stop.is_set():
-            autopilot.receive(end.read())
-            now_s = time.monotonic()
-            end.write(autopilot.step(now_s - before_s))
-            before_s = now_s
-            time.sleep(0.01)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield end.device
-    stop.set()
-    thread.join()
-    end.close()
+    sitl = Sitl(fake_autopilot(SCENARIOS["straight"], stage("straight", 7), "px4"))
+    sitl.start()
+    yield sitl.end.device
+    sitl.close()
 
 
 def test_with_a_sitl_in_its_place_the_report_carries_the_autopilots_own_name(px4_device: str, tmp_path: Path) -> None:

@@ -1,61 +1,21 @@
 """The simulator's camera with somebody else's autopilot: a fake one, served as ArduPilot and PX4 serve their SITL."""
 
 import math
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sitl import Sitl
 
 from sim.autopilot import FakeAutopilot, Start
 from sim.external import ExternalAutopilot
 from sim.realtime import fly_external
 from sim.scenarios import AUTOPILOTS, SCENARIOS
-from sim.server import STEP_S, TcpEnd
 
 BOOT_S = 45.0  # after which either autopilot is ready; ArduCopter 4.7 was measured to take GUIDED after 41.4 s
 CLIMB_SPEEDUP = 4.0  # SITLs can be told to run faster than the clock; here for as long as nothing is filmed
-
-
-class Sitl(threading.Thread):
-    """An autopilot behind a TCP port, which runs by the wall once it is switched on."""
-
-    def __init__(self, autopilot: FakeAutopilot) -> None:
-        super().__init__(name="sitl")
-        self.end = TcpEnd()
-        self.autopilot = autopilot
-        self.modes: list[str] = []
-        self.was_armed = autopilot.is_armed
-        self.top_speed_mps = 0.0
-        self.speedup = CLIMB_SPEEDUP
-        self._stop_asked = threading.Event()
-
-    def run(self) -> None:
-        before_s = time.monotonic()
-        while not self._stop_asked.is_set():
-            self.autopilot.receive(self.end.read())
-            now_s = time.monotonic()
-            self.end.write(self.autopilot.step((now_s - before_s) * self.speedup))
-            before_s = now_s
-            self.was_armed |= self.autopilot.is_armed
-            self.top_speed_mps = max(self.top_speed_mps, math.hypot(*self.autopilot.velocity_ned_mps[:2]))
-            if self.autopilot.mode_name not in self.modes[-1:]:
-                self.modes.append(self.autopilot.mode_name)
-            time.sleep(STEP_S)
-
-    def say(self, text: str) -> None:
-        """What the flight says on its way: from the first picture on, time runs as the wall's does."""
-        if text.startswith("flying"):
-            self.speedup = 1.0
-
-    def close(self) -> None:
-        if self.ident is not None:
-            self._stop_asked.set()
-            self.join()
-        self.end.close()
 
 
 @pytest.fixture
@@ -63,7 +23,7 @@ def serve() -> Iterator[Callable[[FakeAutopilot], Sitl]]:
     served: list[Sitl] = []
 
     def start(autopilot: FakeAutopilot) -> Sitl:
-        served.append(Sitl(autopilot))
+        served.append(Sitl(autopilot, CLIMB_SPEEDUP))
         served[-1].start()
         return served[-1]
 
