@@ -116,7 +116,8 @@ def _add_eval(commands: "argparse._SubParsersAction[Parser]") -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help=f"{', '.join(tracker_names())}, or module:Class (default: mscf reference)",
+        help=f"{', '.join(tracker_names())}; PRESET,FIELD=VALUE,... for a variant of ours; or module:Class "
+        "(default: mscf reference)",
     )
     evaluate.add_argument(
         "--protocol",

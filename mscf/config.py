@@ -4,6 +4,7 @@ Every field names its unit; sources are the paper (arXiv:2106.08073, section IV-
 (spec part B), or a measurement in docs/results.md. Numbers that follow from these belong to `Plan`.
 """
 
+from ast import literal_eval
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from numbers import Integral
@@ -172,6 +173,32 @@ class TrackerConfig:
             if key not in known:
                 raise ConfigError(f"unknown field {key!r} of TrackerConfig{_nearest(key, known)}")
         return replace(cls(**_VALUES[name]), **overrides)
+
+    @classmethod
+    def named(cls, text: str) -> Self:
+        """Configuration of a preset's name, or of `PRESET,FIELD=VALUE,...`: a variant for a study.
+
+        Examples
+        --------
+        >>> TrackerConfig.named("reference,threat_rule=peaks,train_interval=2").train_interval
+        2
+
+        Raises
+        ------
+        ConfigError
+            As `preset`; also where a part after the name is not FIELD=VALUE.
+        """
+        name, *parts = text.split(",")
+        overrides: dict[str, Any] = {}
+        for part in parts:
+            field, is_set, value = part.partition("=")
+            if not is_set:
+                raise ConfigError(f"{text!r}: {part!r} is not FIELD=VALUE, as in {name},train_interval=2")
+            try:
+                overrides[field] = literal_eval(value)
+            except (ValueError, SyntaxError):  # a word: the name of a rule, or a path
+                overrides[field] = value
+        return cls.preset(name, **overrides)
 
 
 def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:

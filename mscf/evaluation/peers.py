@@ -3,7 +3,7 @@
 import ctypes
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
@@ -185,10 +185,11 @@ def tracker_names() -> tuple[str, ...]:
 
 
 def tracker_factory(name: str, models: Models = NO_MODELS, color_table: Path | None = None) -> Callable[[], BoxTracker]:
-    """What makes a tracker called `name`: one of `tracker_names()`, or module:Class.
+    """What makes a tracker called `name`.
 
     Parameters
     ----------
+    name : one of `tracker_names()`, a variant of ours (`TrackerConfig.named`), or module:Class.
     models : files for `nano` and `vit`.
     color_table : colour names for our presets in place of the package's own.
 
@@ -200,12 +201,16 @@ def tracker_factory(name: str, models: Models = NO_MODELS, color_table: Path | N
     if ":" in name:
         own = _own_class(name)
         return lambda: PlainTracker(own())
-    if name in PRESETS:
-        config = TrackerConfig.preset(name, color_table=color_table)
+    if name in PRESETS or "," in name:
+        config = TrackerConfig.named(name)
+        if config.color_table is not None:  # the campaign could not tell one content of that file from another
+            raise ConfigError(f"{name}: give the table by --color-table NPZ, it is the same for all of ours")
+        config = replace(config, color_table=color_table)
         load_table(color_table)  # says now what is wrong with it
         return lambda: PlainTracker(Tracker(config))
     if name not in OPENCV:
-        raise ConfigError(f"unknown tracker {name!r}: choose from {', '.join(tracker_names())}, or module:Class")
+        known = ", ".join(tracker_names())
+        raise ConfigError(f"unknown tracker {name!r}: choose from {known}, PRESET,FIELD=VALUE or module:Class")
     peer = _opencv_class(name)
     parameters = _parameters(name, models)
 

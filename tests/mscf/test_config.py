@@ -43,6 +43,30 @@ def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
         TrackerConfig.preset("refernce")
 
 
+def test_a_variant_is_a_preset_with_fields_of_its_own() -> None:
+    variant = TrackerConfig.named("reference,threat_rule=peaks,pedestal_centred=True,learning_rate=0.02,iterations=3")
+    assert variant == TrackerConfig.preset(
+        "reference", threat_rule="peaks", pedestal_centred=True, learning_rate=0.02, iterations=3
+    )
+    assert TrackerConfig.named("paper") == TrackerConfig.preset("paper")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("mscf,iterations", "'mscf,iterations': 'iterations' is not FIELD=VALUE, as in mscf,train_interval=2"),
+        ("mscf,", "'' is not FIELD=VALUE"),
+        ("mcsf,iterations=2", "unknown preset 'mcsf'.*did you mean 'mscf'"),
+        ("mscf,iteration=2", "unknown field 'iteration'.*did you mean 'iterations'"),
+        ("mscf,iterations=many", "iterations must be a number from 1 to 20, got 'many'"),
+        ("mscf,iterations=2.5", "iterations must be a whole number, got 2.5"),
+    ],
+)
+def test_a_variant_that_cannot_be_is_refused_with_what_is_wrong(text: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        TrackerConfig.named(text)
+
+
 def test_an_unknown_field_is_refused_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match=r"'learning_rat'.*did you mean 'learning_rate'"):
         TrackerConfig.preset("mscf", learning_rat=0.1)

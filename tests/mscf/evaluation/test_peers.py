@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mover import FIRST, moving_target
 
-from mscf.config import PRESETS
+from mscf.config import PRESETS, TrackerConfig
 from mscf.errors import BoxError, ConfigError
 from mscf.evaluation.peers import (
     CsrtTracker,
@@ -58,6 +58,20 @@ def test_a_preset_gives_the_boxes_of_the_tracker_it_is() -> None:
     tracker, frames = Tracker(), moving_target()
     tracker.init(frames[0], FIRST)
     assert [result.box for result in follow("mscf")] == [tracker.update(frame).box for frame in frames[1:]]
+
+
+def test_a_variant_of_a_preset_is_a_tracker_too() -> None:
+    variant = "mscf,search_area_ratio=16,label_rule=fixed"
+    tracker, frames = Tracker(TrackerConfig.named(variant)), moving_target()
+    tracker.init(frames[0], FIRST)
+    boxes = [tracker.update(frame).box for frame in frames[1:]]
+    assert [result.box for result in follow(variant)] == boxes
+    assert [result.box for result in follow("mscf")] != boxes
+
+
+def test_a_variant_has_the_color_table_of_all_others() -> None:
+    with pytest.raises(ConfigError, match="give the table by --color-table"):
+        tracker_factory("mscf,color_table=other.npz")
 
 
 def test_a_color_table_that_cannot_be_read_is_refused_before_anything_runs(tmp_path: Path) -> None:
