@@ -5,7 +5,6 @@ before; `write_index` leads to the pages of several runs.
 """
 
 import csv
-import html
 import io
 import json
 import math
@@ -22,6 +21,7 @@ import cv2
 import numpy as np
 
 from mscf import Box
+from mscf.html_page import escaped, html_page
 from mscf.whole_file import write_whole
 from sim.figure import check_plottable, mode_hex, mode_spans, plot_png
 from sim.scenarios import Act, Verdict
@@ -244,18 +244,11 @@ def _finite(value: Any) -> Any:
 
 # ------------------------------------------------------------------------------------------------ for people
 _STYLE = """
-:root { color-scheme: light dark; --ink: #1d2126; --soft: #5c6570; --line: #d9dde2; --page: #fff; --card: #f5f6f8;
-  --good: #17803d; --bad: #c62828; --link: #0b62c4 }
-@media (prefers-color-scheme: dark) { :root { --ink: #e7e9ec; --soft: #9aa4b0; --line: #343a42; --page: #15181c;
-  --card: #1e2228; --good: #4cc773; --bad: #ff6b62; --link: #7db8ff } }
-* { box-sizing: border-box }
-body { margin: 0 auto; padding: 1.5rem 1rem 4rem; max-width: 70rem; background: var(--page); color: var(--ink);
-  font: 16px/1.5 system-ui, sans-serif }
-h1 { margin: 0; font-size: 1.8rem; line-height: 1.2 }
-h2 { margin: 2.2rem 0 .6rem; font-size: 1.15rem }
-a { color: var(--link) }
+:root { --good: #17803d; --bad: #c62828 }
+@media (prefers-color-scheme: dark) { :root { --good: #4cc773; --bad: #ff6b62 } }
+body { max-width: 70rem }
+h1 { margin: 0 }
 header { display: flex; flex-wrap: wrap; gap: .6rem 1.2rem; align-items: center; justify-content: space-between }
-.soft { color: var(--soft) }
 .verdict { padding: .3rem 1rem; border-radius: .4rem; font-size: 1.5rem; font-weight: 700; letter-spacing: .06em;
   color: var(--page); background: var(--bad) }
 .verdict.good { background: var(--good) }
@@ -266,15 +259,12 @@ img { min-width: 44rem; background: #fff }
 .key { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; margin: .4rem 0 0; padding: 0; list-style: none;
   font-size: .9rem }
 .key i { display: inline-block; width: .8em; height: .8em; margin-right: .4em; border-radius: .2em }
-.wide { overflow-x: auto }
-table { width: 100%; border-collapse: collapse }
+table { width: 100% }
 .broad { min-width: 56rem }
-th, td { padding: .4rem .8rem .4rem 0; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top }
-th { color: var(--soft); font-size: .85rem; font-weight: 600 }
+th, td { padding: .4rem .8rem .4rem 0 }
 td.figure, th.figure { font-variant-numeric: tabular-nums }
 td.mark { width: 1.6rem; font-weight: 700 }
-code { padding: .1em .3em; border-radius: .3em; background: var(--card); font-size: .9em; overflow-wrap: anywhere }
-""".strip()
+"""
 
 
 def run_page(run: Run, files: Sequence[str]) -> str:
@@ -282,7 +272,7 @@ def run_page(run: Run, files: Sequence[str]) -> str:
     passed = sum(verdict.is_passed for verdict in run.verdicts)
     parts = [
         _header(run.scenario, f"{run.autopilot} · {run.kind} · {run.duration_s:.0f} s", is_passed=run.is_passed),
-        f"<p>{_text(_sentence(run.description))} {_KINDS[run.kind]} {_passed(passed, len(run.verdicts))}</p>",
+        f"<p>{escaped(_sentence(run.description))} {_KINDS[run.kind]} {_passed(passed, len(run.verdicts))}</p>",
     ]
     if FILM in files:
         poster = f' poster="{POSTER}"' if POSTER in files else ""
@@ -297,15 +287,15 @@ def run_page(run: Run, files: Sequence[str]) -> str:
         ]
     parts += ["<h2>What the operator was told</h2>", _log(run.trace, run.acts)]
     known = {**run.facts, **environment()}
-    facts = {"command": f"<code>{_text(run.command)}</code>", "seed": str(run.seed)}
-    facts |= {name.replace("_", " "): _text(_fact(value)) for name, value in known.items()}
+    facts = {"command": f"<code>{escaped(run.command)}</code>", "seed": str(run.seed)}
+    facts |= {name.replace("_", " "): escaped(_fact(value)) for name, value in known.items()}
     parts += [
         "<h2>Circumstances</h2>",
-        _table((f"<td>{_text(name)}</td><td>{fact}</td>" for name, fact in facts.items())),
+        _table((f"<td>{escaped(name)}</td><td>{fact}</td>" for name, fact in facts.items())),
     ]
-    links = (f'<a href="{_text(name)}">{_text(name)}</a>' for name in files)
+    links = (f'<a href="{escaped(name)}">{escaped(name)}</a>' for name in files)
     parts += ["<h2>Files</h2>", f"<p>{' · '.join(links)}</p>"]
-    return _page(f"{run.scenario}, {run.autopilot}: {_word(run.is_passed)}", parts)
+    return html_page(f"{run.scenario}, {run.autopilot}: {_word(run.is_passed)}", parts, _STYLE)
 
 
 def index_page(runs: Sequence[Run]) -> str:
@@ -314,14 +304,14 @@ def index_page(runs: Sequence[Run]) -> str:
     rows = []
     for run in runs:
         failed = [f"{verdict.name}: {_measured(verdict)}" for verdict in run.verdicts if not verdict.is_passed]
-        complaints = [f'<br><span class="bad">{_text(text)}</span>' for text in failed]
+        complaints = [f'<br><span class="bad">{escaped(text)}</span>' for text in failed]
         figures = "".join(f'<td class="figure">{value}</td>' for value in key_figures(run.trace).values())
         rows.append(
             f'<td class="mark {_class(run.is_passed)}">{_mark(run.is_passed)}</td>'
-            f'<td><a href="{_text(run.folder_name)}/{PAGE}">{_title(run.scenario)}</a><br>'
-            f'<span class="soft">{_text(run.description)}</span>'
+            f'<td><a href="{escaped(run.folder_name)}/{PAGE}">{_title(run.scenario)}</a><br>'
+            f'<span class="soft">{escaped(run.description)}</span>'
             f"{''.join(complaints)}</td>"
-            f"<td>{_text(run.autopilot)}</td><td>{_text(run.kind)}</td>"
+            f"<td>{escaped(run.autopilot)}</td><td>{escaped(run.kind)}</td>"
             f'<td class="figure">{len(run.verdicts) - len(failed)} of {len(run.verdicts)}</td>{figures}'
         )
     head = ("", "scenario", "autopilot", "run", "checks", *key_figures(Trace(())))
@@ -330,7 +320,7 @@ def index_page(runs: Sequence[Run]) -> str:
         "<p>What has to come of each flight is written down before it. Behind each name: film, plots, checks.</p>",
         _table(rows, head, is_broad=True),
     ]
-    return _page(f"Flights: {passed} of {len(runs)} passed", parts)
+    return html_page(f"Flights: {passed} of {len(runs)} passed", parts, _STYLE)
 
 
 def key_figures(trace: Trace) -> dict[str, str]:
@@ -362,11 +352,12 @@ def _modes(trace: Trace) -> str:
     if total_s <= 0:
         return ""
     bar = "".join(
-        f'<span title="{_text(mode)}" style="width:{100 * length_s / total_s:.3f}%;background:{mode_hex(mode)}"></span>'
+        f'<span title="{escaped(mode)}" style="width:{100 * length_s / total_s:.3f}%;'
+        f'background:{mode_hex(mode)}"></span>'
         for mode, length_s in spans
     )
     key = "".join(
-        f'<li><i style="background:{mode_hex(mode)}"></i>{_text(mode or "unknown")} '
+        f'<li><i style="background:{mode_hex(mode)}"></i>{escaped(mode or "unknown")} '
         f"{sum(length_s for other, length_s in spans if other == mode):.1f} s</li>"
         for mode in dict.fromkeys(mode for mode, _ in spans)
     )
@@ -375,9 +366,9 @@ def _modes(trace: Trace) -> str:
 
 def _checks(verdicts: Sequence[Verdict]) -> str:
     rows = (
-        f'<td class="mark {_class(verdict.is_passed)}">{_mark(verdict.is_passed)}</td><td>{_text(verdict.name)}</td>'
-        f'<td class="figure {_class(verdict.is_passed)}">{_text(_measured(verdict))}</td>'
-        f'<td class="figure">{_text(verdict.wanted)}</td>'
+        f'<td class="mark {_class(verdict.is_passed)}">{_mark(verdict.is_passed)}</td><td>{escaped(verdict.name)}</td>'
+        f'<td class="figure {_class(verdict.is_passed)}">{escaped(_measured(verdict))}</td>'
+        f'<td class="figure">{escaped(verdict.wanted)}</td>'
         for verdict in verdicts
     )
     return _table(rows, ("", "check", "measured", "wanted"))
@@ -385,8 +376,8 @@ def _checks(verdicts: Sequence[Verdict]) -> str:
 
 def _log(trace: Trace, acts: Sequence[Act]) -> str:
     """What was said and what happened, in the order of time."""
-    lines = [(moment.time_s, _text(text)) for moment in trace.moments for text in moment.texts]
-    lines += [(act.time_s, f'<span class="soft">({_text(act.name)})</span>') for act in acts]
+    lines = [(moment.time_s, escaped(text)) for moment in trace.moments for text in moment.texts]
+    lines += [(act.time_s, f'<span class="soft">({escaped(act.name)})</span>') for act in acts]
     lines.sort(key=lambda line: line[0])
     if not lines:
         return '<p class="soft">Nothing.</p>'
@@ -395,24 +386,14 @@ def _log(trace: Trace, acts: Sequence[Act]) -> str:
 
 def _table(rows: Iterable[str], head: Sequence[str] = (), *, is_broad: bool = False) -> str:
     kind = ' class="broad"' if is_broad else ""
-    top = f"<thead><tr>{''.join(f'<th>{_text(name)}</th>' for name in head)}</tr></thead>" if head else ""
+    top = f"<thead><tr>{''.join(f'<th>{escaped(name)}</th>' for name in head)}</tr></thead>" if head else ""
     body = "".join(f"<tr>{row}</tr>" for row in rows)
     return f'<div class="wide"><table{kind}>{top}<tbody>{body}</tbody></table></div>'
 
 
-def _page(title: str, parts: Sequence[str]) -> str:
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{_text(title)}</title>\n<style>\n{_STYLE}\n</style>\n</head>\n<body>\n"
-        + "\n".join(parts)
-        + "\n</body>\n</html>\n"
-    )
-
-
 def _header(name: str, about: str, *, is_passed: bool) -> str:
     return (
-        f'<header><div><h1>{_title(name)}</h1><div class="soft">{_text(about)}</div></div>'
+        f'<header><div><h1>{_title(name)}</h1><div class="soft">{escaped(about)}</div></div>'
         f'<div class="verdict {_class(is_passed)}">{_word(is_passed)}</div></header>'
     )
 
@@ -431,11 +412,7 @@ def _passed(count: int, total: int) -> str:
 
 
 def _title(name: str) -> str:
-    return _text(name.replace("_", " ").capitalize())
-
-
-def _text(text: str) -> str:
-    return html.escape(text, quote=True)
+    return escaped(name.replace("_", " ").capitalize())
 
 
 def _fact(value: Fact) -> str:

@@ -1,7 +1,6 @@
 """The page of an evaluation: one file with everything in it, for a browser or a letter."""
 
 import base64
-import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,29 +14,17 @@ from mscf.evaluation.report.strips import Strip
 from mscf.evaluation.report.summary import METRICS, Summary, places
 from mscf.evaluation.report.table import MARKS, counted, rate_text, remarks, share_text, spread_text
 from mscf.evaluation.statistics import Interval
+from mscf.html_page import escaped, html_page
 
 JPEG_QUALITY = 88
 
 _STYLE = """
-:root { color-scheme: light dark; --ink: #1d2126; --soft: #5c6570; --line: #d9dde2; --page: #fff; --card: #f5f6f8;
-  --first: #c3352b; --second: #16782f; --third: #1b62c0; --link: #0b62c4 }
-@media (prefers-color-scheme: dark) { :root { --ink: #e7e9ec; --soft: #9aa4b0; --line: #343a42; --page: #15181c;
-  --card: #1e2228; --first: #ff7a6e; --second: #5fcf80; --third: #7db8ff; --link: #7db8ff } }
-* { box-sizing: border-box }
-body { margin: 0 auto; padding: 1.5rem 1rem 4rem; max-width: 78rem; background: var(--page); color: var(--ink);
-  font: 16px/1.5 system-ui, sans-serif }
-h1 { margin: 0 0 .6rem; font-size: 1.8rem; line-height: 1.2 }
-h2 { margin: 2.4rem 0 .6rem; font-size: 1.2rem }
+:root { --first: #c3352b; --second: #16782f; --third: #1b62c0 }
+@media (prefers-color-scheme: dark) { :root { --first: #ff7a6e; --second: #5fcf80; --third: #7db8ff } }
 p { max-width: 52rem }
-a { color: var(--link) }
-.soft { color: var(--soft) }
 .small { font-size: .82rem }
 .notice { padding: .5rem .8rem; border-left: .25rem solid var(--first); background: var(--card) }
-.wide { overflow-x: auto }
-table { border-collapse: collapse }
-th, td { padding: .35rem 1.1rem .35rem 0; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top;
-  white-space: nowrap }
-th { color: var(--soft); font-size: .85rem; font-weight: 600 }
+th, td { padding: .35rem 1.1rem .35rem 0; white-space: nowrap }
 td { font-variant-numeric: tabular-nums }
 td.text { white-space: normal; min-width: 12rem; overflow-wrap: anywhere }
 th:first-child, td:first-child { position: sticky; left: 0; background: var(--page) }
@@ -51,11 +38,11 @@ td .soft { display: block; font-size: .78rem }
 figure { margin: 0 0 1.2rem }
 figure img { display: block; width: 100%; min-width: 56rem; height: auto; border-radius: .3rem }
 figcaption { margin-top: .3rem }
-code, pre { border-radius: .3rem; background: var(--card); font-size: .9em; overflow-wrap: anywhere }
-code { padding: .1em .3em } pre { padding: .6rem .8rem; white-space: pre-wrap }
+pre { padding: .6rem .8rem; border-radius: .3rem; background: var(--card); font-size: .9em; overflow-wrap: anywhere;
+  white-space: pre-wrap }
 @media (max-width: 40rem) { .line { display: block }
   td:first-child { min-width: 7.4rem; max-width: 38vw; white-space: normal; overflow-wrap: anywhere } }
-""".strip()
+"""
 
 
 def evaluation_page(
@@ -75,9 +62,9 @@ def evaluation_page(
     plots : as `draw_plots` gives them; may be empty.
     notice : what the reader should know first; may be empty.
     """
-    parts = [f"<h1>{_text(title)}</h1>", f"<p>{_text(' '.join(remarks(summary)))}</p>"]
+    parts = [f"<h1>{escaped(title)}</h1>", f"<p>{escaped(' '.join(remarks(summary)))}</p>"]
     if notice:
-        parts.append(f'<p class="notice">{_text(notice)}</p>')
+        parts.append(f'<p class="notice">{escaped(notice)}</p>')
     if skipped:
         parts.append(f'<p class="notice">{counted(len(skipped), "sequence")} skipped: <a href="#skipped">why</a>.</p>')
     parts += ["<h2>Overall</h2>", _overall(summary), _how_to_read()]
@@ -92,16 +79,10 @@ def evaluation_page(
         parts += ["<h2>Pictures</h2>", *map(_strip, strips)]
     parts += ["<h2>Lost and raised</h2>", _lost(summary)]
     if skipped:
-        rows = (f'<td>{_text(name)}</td><td class="text">{_text(why)}</td>' for name, why in skipped)
+        rows = (f'<td>{escaped(name)}</td><td class="text">{escaped(why)}</td>' for name, why in skipped)
         parts += ['<h2 id="skipped">Skipped</h2>', _table(("sequence", "why"), rows)]
     parts += ["<h2>How to get it again</h2>", _circumstances(circumstances)]
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{_text(title)}</title>\n<style>\n{_STYLE}\n</style>\n</head>\n<body>\n"
-        + "\n".join(parts)
-        + "\n</body>\n</html>\n"
-    )
+    return html_page(title, parts, _STYLE)
 
 
 def _how_to_read() -> str:
@@ -139,7 +120,7 @@ def _by_attribute(summary: Summary) -> str:
         means = [row.means["auc"] for row in rows]
         cells = [_interval(mean, place) for mean, place in zip(means, _places(means), strict=True)]
         count = f'<span class="soft">{len(summary.having[name])} of {len(summary.counted)}</span>'
-        lines.append("".join(f"<td>{cell}</td>" for cell in (f"{_text(name)}{count}", *cells)))
+        lines.append("".join(f"<td>{cell}</td>" for cell in (f"{escaped(name)}{count}", *cells)))
     return _table(("attribute", *summary.trackers), lines)
 
 
@@ -155,7 +136,7 @@ def _by_sequence(summary: Summary) -> str:
             for score, rank in zip(scores, ranks, strict=True)
         ]
         note = "" if sequence in summary.counted else '<span class="soft">not counted</span>'
-        lines.append("".join(f"<td>{cell}</td>" for cell in (f"{_text(sequence)}{note}", *cells)))
+        lines.append("".join(f"<td>{cell}</td>" for cell in (f"{escaped(sequence)}{note}", *cells)))
     about = '<p class="soft small">AUC, and below it the precision; means over the runs.</p>'
     return about + _table(("sequence", *summary.trackers), lines)
 
@@ -163,7 +144,7 @@ def _by_sequence(summary: Summary) -> str:
 def _lost(summary: Summary) -> str:
     rows = []
     for index, row in enumerate(summary.rows):
-        faults = "<br>".join(f"{_text(fault)} (in {runs})" for fault, runs in row.faults.items()) or "-"
+        faults = "<br>".join(f"{escaped(fault)} (in {runs})" for fault, runs in row.faults.items()) or "-"
         updates = f"{row.lost} of {row.updates}"
         runs = f"{sum(row.faults.values())} of {row.runs}"
         rows.append(
@@ -176,7 +157,7 @@ def _strip(strip: Strip) -> str:
     is_made, data = cv2.imencode(".jpg", strip.picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     assert is_made  # of any uint8 picture
     numbers = ", ".join(str(frame + 1) for frame in strip.frames)
-    about = f"{_text(strip.sequence)}, frames {numbers}"
+    about = f"{escaped(strip.sequence)}, frames {numbers}"
     picture = f'<img src="data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}" alt="{about}">'
     caption = f'<figcaption class="soft small">{about}; of each the part where the boxes are, first run.</figcaption>'
     return f'<figure><div class="wide">{picture}</div>{caption}</figure>'
@@ -196,16 +177,18 @@ def _inline(plot: Plot) -> str:
     svg = re.sub(r'<svg([^>]*?) height="[^"]*"', r"<svg\1", svg, count=1)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = svg.replace(INK, "currentColor").replace(PAPER, "var(--page)")
-    return svg.replace("<svg", f'<svg role="img" aria-label="{_text(plot.title)}"', 1)
+    return svg.replace("<svg", f'<svg role="img" aria-label="{escaped(plot.title)}"', 1)
 
 
 def _circumstances(circumstances: Mapping[str, Any]) -> str:
     if not circumstances:
         return '<p class="soft">The run left no word of its command, versions and machine.</p>'
     command = circumstances.get("command")
-    parts = [f"<pre>{_text(str(command))}</pre>"] if command else []
+    parts = [f"<pre>{escaped(str(command))}</pre>"] if command else []
     facts = [(name, value) for name, value in _flat(circumstances) if name != "command"]
-    rows = (f'<td>{_text(name.replace("_", " "))}</td><td class="text">{_text(value)}</td>' for name, value in facts)
+    rows = (
+        f'<td>{escaped(name.replace("_", " "))}</td><td class="text">{escaped(value)}</td>' for name, value in facts
+    )
     return "".join(parts) + (_table((), rows) if facts else "")
 
 
@@ -229,7 +212,7 @@ def _tracker(index: int, name: str) -> str:
         "o": f'<circle cx="18" cy="5" r="4.5" fill="{stroke.color}"/>',
         "s": f'<rect x="14" y="1" width="8" height="8" fill="{stroke.color}"/>',
     }[stroke.marker]
-    return f'<svg class="line" viewBox="0 0 36 10" aria-hidden="true">{line}{dot}</svg>{_text(name)}'
+    return f'<svg class="line" viewBox="0 0 36 10" aria-hidden="true">{line}{dot}</svg>{escaped(name)}'
 
 
 def _interval(interval: Interval, place: int) -> str:
@@ -248,10 +231,6 @@ def _places(means: Sequence[Interval]) -> tuple[int, ...]:
 
 
 def _table(head: Sequence[str], rows: Iterable[str]) -> str:
-    top = f"<thead><tr>{''.join(f'<th>{_text(name)}</th>' for name in head)}</tr></thead>" if head else ""
+    top = f"<thead><tr>{''.join(f'<th>{escaped(name)}</th>' for name in head)}</tr></thead>" if head else ""
     body = "".join(f"<tr>{row}</tr>" for row in rows)
     return f'<div class="wide"><table>{top}<tbody>{body}</tbody></table></div>'
-
-
-def _text(text: str) -> str:
-    return html.escape(text, quote=True)

@@ -21,13 +21,14 @@ from mscf.evaluation.metrics import errors_of, score
 from mscf.evaluation.record import Record, Run
 from mscf.evaluation.report import print_table, write_report
 from mscf.evaluation.report.curves import draw_plots, ranked
-from mscf.evaluation.report.page import _STYLE, evaluation_page
+from mscf.evaluation.report.page import evaluation_page
 from mscf.evaluation.report.palette import COLORS, DASHES, MARKERS, Stroke
 from mscf.evaluation.report.strips import FRAMES, STRIPS, draw_strips, most_telling, spread_frames, view_of
 from mscf.evaluation.report.summary import places, summarize
 from mscf.evaluation.report.table import CSV_HEAD, markdown, overall, results_json, sequences_csv
 from mscf.evaluation.statistics import sequence_values
 from mscf.geometry import Box
+from mscf.html_page import html_page
 
 TRUE = Box(40, 30, 20, 10)
 ORDER = ("ours", "theirs", "pack:Their_Own")
@@ -221,7 +222,7 @@ def luminance(color: str) -> float:
 
 @pytest.mark.parametrize("color", COLORS)
 def test_every_colour_stands_out_on_the_light_and_on_the_dark_page(color: str) -> None:
-    grounds = re.findall(r"--page: (#\w+)", _STYLE)
+    grounds = re.findall(r"--page: (#\w+)", html_page("", ()))
     assert len(grounds) == 2
     for ground in grounds:
         full = ground if len(ground) == 7 else "#" + "".join(2 * digit for digit in ground[1:])
