@@ -7,10 +7,18 @@ OUT := out
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-# for `make results`: sequences with ground truth, and the models of OpenCV's tracker nano; neither is part of this
+# for `make results`: sequences with ground truth, the models of OpenCV's tracker nano, and the published colour names;
+# none of them is part of this
 SEQUENCES ?= ../shared/sequences
 NANO ?= ../shared/reference/nanotrack/nanotrack_backbone_sim.onnx ../shared/reference/nanotrack/nanotrack_head_sim.onnx
+COLOR_TABLE ?= ../shared/reference/color_names_reference.npz
 TRACKERS ?= mscf reference paper bacf bacf+al bacf+ahl csrt kcf mosse mil nano
+# preset mscf with one thing changed: what it adds to the published code taken away, then the paper's ideas as it means
+# them: a label in closed form, threat by true sub-peaks, a pedestal of the stated size, none, a label that adapts at once
+STUDY ?= sampling=pixels scale_interpolation=False color_weight=1 learning_rate=0.0158 hold_floor=0 \
+  label_rule=joint,iterations=4 threat_rule=peaks pedestal_ratio=2.5,pedestal_min_cells=1,pedestal_centred=True \
+  pedestal_height=0 label_penalty=0.27 train_interval=2
+comma := ,
 
 .PHONY: help demo test lint bench results clean
 help:
@@ -36,11 +44,13 @@ lint: $(VENV)/installed
 bench: $(BENCH_VENV)/installed
 	$(BENCH_VENV)/bin/mscf bench
 
+EVAL = $(BENCH_VENV)/bin/mscf eval $(SEQUENCES) --jobs 2 --resume
 results: $(BENCH_VENV)/installed
 	for protocol in ope tre sre; do \
-	  $(BENCH_VENV)/bin/mscf eval $(SEQUENCES) --tracker $(TRACKERS) --nano $(NANO) --protocol $$protocol --jobs 2 \
-	    --out $(OUT)/results/$$protocol --resume || exit; \
+	  $(EVAL) --tracker $(TRACKERS) --nano $(NANO) --protocol $$protocol --out $(OUT)/results/$$protocol || exit; \
 	done
+	$(EVAL) --tracker mscf $(addprefix mscf$(comma),$(STUDY)) --protocol tre --out $(OUT)/results/study
+	$(EVAL) --tracker mscf reference --color-table $(COLOR_TABLE) --protocol tre --out $(OUT)/results/color_table
 
 clean:
 	rm -rf $(VENV) $(BENCH_VENV) $(OUT)

@@ -15,7 +15,7 @@ from mscf.errors import ConfigError
 
 LabelRule = Literal["fixed", "joint", "split"]
 ThreatRule = Literal["window", "peaks"]
-ResamplingRule = Literal["area", "bounded"]
+SamplingRule = Literal["pixels", "exact"]
 PresetName = Literal["mscf", "reference", "paper", "bacf", "bacf+al", "bacf+ahl"]
 PRESETS: tuple[str, ...] = get_args(PresetName)
 
@@ -23,6 +23,7 @@ PRESETS: tuple[str, ...] = get_args(PresetName)
 _RANGES: dict[str, tuple[float, float]] = {
     "search_area_ratio": (4, 100),
     "sample_side_px": (64, 512),
+    "color_weight": (0, 10),
     "label_sigma": (0.01, 1),
     "pedestal_height": (0, 1),
     "pedestal_ratio": (0.25, 10),
@@ -32,6 +33,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "learning_rate": (0, 1),
     "train_interval": (1, 100),
     "shift_limit_cells": (0, 25),
+    "shift_limit_ratio": (1, 1.2),
     "hold_floor": (0, 1),
     "hold_frames": (0, 1000),
     "iterations": (1, 20),
@@ -65,10 +67,11 @@ class TrackerConfig:
     # sampling (spec B1, B2)
     search_area_ratio: float = 25.0  # area of the search patch over that of the box
     sample_side_px: int = 200  # side of the resized search patch; a multiple of the 4 px cell
-    resampling: ResamplingRule = "bounded"  # area: as published, takes longer the larger the target is
+    sampling: SamplingRule = "exact"  # pixels: as published, whole ones; takes longer the larger the target is
 
     # features (spec B3, D)
     color_table: Path | None = None  # .npz with `table` (32768, 10); None: the package's own
+    color_weight: float = 2.0  # of the colour names; at 1 they vary by a twentieth of what the gradients do
 
     # label (paper Eq. 3; spec B4, B5)
     label_sigma: float = 0.066  # of the Gaussian, over the geometric mean of the target's sides
@@ -89,10 +92,11 @@ class TrackerConfig:
     hold_frames: int = 25  # for no longer than this
 
     # training (paper IV-A; spec B10)
-    learning_rate: float = 0.0158  # of the model, per training
+    learning_rate: float = 0.022  # of the model, per training; published: 0.0158
     train_interval: int = 1  # frames from one training to the next
     # up to this displacement the sample of the detection is shifted for training; 0: cut anew wherever it moved
     shift_limit_cells: float = 8.0
+    shift_limit_ratio: float = 1.015  # and up to this ratio of the scales; 1: only where it is the same
     iterations: int = 2  # ADMM iterations; of rule "split" in each of its three loops
     penalty: float = 0.1  # mu of the first iteration
     penalty_growth: float = 10.0  # beta, of mu and gamma
@@ -106,6 +110,7 @@ class TrackerConfig:
     scale_count: int = 33  # odd
     scale_step: float = 1.03  # ratio of neighbouring scales
     scale_sigma: float = 0.5  # of the label, over sqrt(scale_count)
+    scale_interpolation: bool = True  # the best scale is between the steps; published: it is one of them
     scale_model_area_px: float = 512.0  # largest area of a resized scale sample
     scale_learning_rate: float = 0.024
     scale_floor: float = 1e-4  # added to the denominator
@@ -140,11 +145,11 @@ class TrackerConfig:
         for name, rules in (
             ("label_rule", get_args(LabelRule)),
             ("threat_rule", get_args(ThreatRule)),
-            ("resampling", get_args(ResamplingRule)),
+            ("sampling", get_args(SamplingRule)),
         ):
             if getattr(self, name) not in rules:
                 raise ConfigError(f"{name} must be one of {', '.join(rules)}, got {getattr(self, name)!r}")
-        for name in ("pedestal_centred", "pedestal_at_start"):
+        for name in ("pedestal_centred", "pedestal_at_start", "scale_interpolation"):
             if not isinstance(getattr(self, name), bool):
                 raise ConfigError(f"{name} must be True or False, got {getattr(self, name)!r}")
         if isinstance(self.color_table, str):
@@ -210,8 +215,9 @@ def _nearest(name: str, known: tuple[str, ...] | list[str]) -> str:
 _REFERENCE: dict[str, Any] = {
     "search_area_ratio": 25.0,
     "sample_side_px": 200,
-    "resampling": "area",
+    "sampling": "pixels",
     "color_table": None,
+    "color_weight": 1.0,
     "label_sigma": 0.066,
     "pedestal_height": 0.044,
     "pedestal_ratio": 0.625,  # 2.5 in the code, but the side is of sample pixels and used as cells of 4 (spec B5)
@@ -227,6 +233,7 @@ _REFERENCE: dict[str, Any] = {
     "learning_rate": 0.0158,
     "train_interval": 1,
     "shift_limit_cells": 0.0,
+    "shift_limit_ratio": 1.0,
     "iterations": 2,
     "penalty": 0.1,
     "penalty_growth": 10.0,
@@ -238,6 +245,7 @@ _REFERENCE: dict[str, Any] = {
     "scale_count": 33,
     "scale_step": 1.03,
     "scale_sigma": 0.5,
+    "scale_interpolation": False,
     "scale_model_area_px": 512.0,
     "scale_learning_rate": 0.024,
     "scale_floor": 1e-4,

@@ -9,7 +9,7 @@ from mscf.arrays import Real, Spectrum
 from mscf.config import TrackerConfig
 from mscf.features.color_names import load_table
 from mscf.features.fhog import CELL_PX
-from mscf.geometry import Box, round_half_away
+from mscf.geometry import Box
 from mscf.labels import gaussian_label, pedestal
 from mscf.scale import ScalePlan
 from mscf.spectrum import SupportTransform, dft
@@ -22,7 +22,7 @@ class Plan:
     config: TrackerConfig
     frame_shape: tuple[int, ...]  # every later frame has this shape
     is_gray: bool  # one channel is looked at, and no colour names
-    color_table: Real | None  # (32768, 10)
+    color_table: Real | None  # (32768, 10), weighted
     first_scale: float  # scale factor of the first frame: frame pixels per pixel of the resized patch
     base_hw: tuple[float, float]  # size of the target at scale factor 1, px of the resized patch
     grid_mn: tuple[int, int]  # (S, S) cells
@@ -57,7 +57,7 @@ class Plan:
             config=cfg,
             frame_shape=frame_shape,
             is_gray=is_gray,
-            color_table=None if is_gray else load_table(cfg.color_table),
+            color_table=None if is_gray else np.float32(cfg.color_weight) * load_table(cfg.color_table),
             first_scale=first_scale,
             base_hw=base_hw,
             grid_mn=grid_mn,
@@ -72,7 +72,3 @@ class Plan:
     def box_at(self, pos_rc: tuple[float, float], scale: float) -> Box:
         """Box of the target with its centre at `pos_rc` and the given scale factor."""
         return Box.from_pos_size(pos_rc, (self.base_hw[0] * scale, self.base_hw[1] * scale))
-
-    def patch_side_px(self, scale: float) -> int:
-        """Side of the square search patch in frame pixels."""
-        return max(1, round_half_away(self.config.sample_side_px * scale))

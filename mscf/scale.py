@@ -9,7 +9,7 @@ import numpy as np
 from mscf.arrays import Image, Probe, Real, Real64, Spectrum, no_probe
 from mscf.config import TrackerConfig
 from mscf.features.fhog import CELL_PX, fhog
-from mscf.sampling import sample
+from mscf.sampling import sample, sample_exact
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,19 +67,13 @@ class ScaleFilter:
 
 def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan: ScalePlan) -> Real:
     """Windowed FHOG features of the target at each relative scale: (K, F) float32, F = 31 * cells."""
-    center_rc = math.floor(pos_rc[0]), math.floor(pos_rc[1])
-    patches = np.stack(
-        [
-            sample(
-                frame,
-                center_rc,
-                (max(1, math.floor(plan.base_hw[0] * factor)), max(1, math.floor(plan.base_hw[1] * factor))),
-                plan.model_hw,
-                rule=plan.config.resampling,
-            )
-            for factor in (scale * plan.factors).tolist()
-        ]
-    )  # (K, h, w[, 3])
+    sizes_hw = [(plan.base_hw[0] * factor, plan.base_hw[1] * factor) for factor in (scale * plan.factors).tolist()]
+    if plan.config.sampling == "exact":
+        patches = np.stack([sample_exact(frame, pos_rc, size_hw, plan.model_hw) for size_hw in sizes_hw])
+    else:
+        center_rc = math.floor(pos_rc[0]), math.floor(pos_rc[1])
+        whole_hw = [(max(1, math.floor(h)), max(1, math.floor(w))) for h, w in sizes_hw]
+        patches = np.stack([sample(frame, center_rc, size_hw, plan.model_hw) for size_hw in whole_hw])
     features = fhog(patches).reshape(len(patches), -1)  # (K, F)
     features *= plan.window[:, None]
     return features
@@ -99,12 +93,22 @@ def train_scale(features: Real, before: ScaleFilter | None, plan: ScalePlan) -> 
 def estimate_scale(
     features: Real, scale: float, scale_filter: ScaleFilter, plan: ScalePlan, probe: Probe = no_probe
 ) -> float:
-    """Scale factor of the relative scale with the highest response, kept within the plan's limits."""
+    """Scale factor of the relative scale with the highest response, kept within the plan's limits.
+
+    Not in the published code, `scale_interpolation`: the scale at the top of the parabola through that response and its
+    two neighbours. Else the size is off by up to half a step, and jumps.
+    """
     x_f = _dft(features)
     total_f = np.einsum("kf,kf->k", scale_filter.num_f, x_f)
     response = np.fft.irfft(total_f / (scale_filter.den + np.float32(plan.config.scale_floor)), n=len(plan.factors))
     probe("scale_response", response)
-    best = scale * float(plan.factors[int(np.argmax(response))])
+    index = int(np.argmax(response))
+    best = scale * float(plan.factors[index])
+    if plan.config.scale_interpolation and 0 < index < len(response) - 1:
+        left, top, right = response[index - 1 : index + 2].tolist()
+        bend = left - 2 * top + right
+        if bend < 0:  # 0 where all three are equal
+            best *= plan.config.scale_step ** (0.5 * (right - left) / bend)
     return min(max(best, plan.limits[0]), plan.limits[1])
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from mscf.arrays import Image, Real64
 from mscf.features.fhog import CELL_PX
 from mscf.features.stack import feature_stack
-from mscf.geometry import Box, nearest_pixel
-from mscf.sampling import sample
+from mscf.geometry import Box
+from mscf.sampling import sample_exact
 
 LOOKS_SIDE_PX = 32  # of the resized patch whose features are compared: 8 x 8 cells
 LOOKS_MARGIN = 1.5  # side of that patch over the box's: the outline tells more than the inside, as measured
@@ -36,9 +36,8 @@ class Looks:
         rows, cols = frame.shape[:2]
         pos_rc, (h, w) = box.to_pos_size()
         shrink = min(1.0, PICTURE_PX / math.sqrt(h * w), math.sqrt(FRAME_PX2 / (rows * cols)))
-        size_hw = max(1, round(h)), max(1, round(w))
         picture_hw = max(3, round(h * shrink)), max(3, round(w * shrink))
-        picture = sample(frame, nearest_pixel(pos_rc), size_hw, picture_hw, rule="bounded")
+        picture = sample_exact(frame, pos_rc, (h, w), picture_hw)
         return cls(outline(frame, box), picture.copy(), shrink)
 
     def after(self, frame: Image, box: Box) -> "Looks":
@@ -62,10 +61,7 @@ class Looks:
         small_hw = round(rows * self.shrink), round(cols * self.shrink)
         if small_hw[0] <= h or small_hw[1] <= w:
             return None
-        # `sample` counts an even size from the pixel left and above the middle
-        small = sample(
-            frame, (rows // 2 - 1 + rows % 2, cols // 2 - 1 + cols % 2), (rows, cols), small_hw, rule="bounded"
-        )
+        small = sample_exact(frame, ((rows - 1) / 2, (cols - 1) / 2), (rows, cols), small_hw)
         match = np.nan_to_num(cv2.matchTemplate(small, self.picture, cv2.TM_CCOEFF_NORMED), nan=-1.0, posinf=-1.0)
         row, col = np.unravel_index(int(np.argmax(match)), match.shape)
         for _ in range(rank):
@@ -77,8 +73,7 @@ class Looks:
 def outline(frame: Image, box: Box) -> Real64:
     """Gray and FHOG features around a box, of zero mean a channel and length 1, or 0 where nothing is seen: (F,)."""
     pos_rc, (h, w) = box.to_pos_size()
-    size_hw = max(1, round(h * LOOKS_MARGIN)), max(1, round(w * LOOKS_MARGIN))
-    patch = sample(frame, nearest_pixel(pos_rc), size_hw, (LOOKS_SIDE_PX, LOOKS_SIDE_PX), rule="bounded")
+    patch = sample_exact(frame, pos_rc, (h * LOOKS_MARGIN, w * LOOKS_MARGIN), (LOOKS_SIDE_PX, LOOKS_SIDE_PX))
     features = feature_stack(patch, CELL_PX, None).astype(np.float64)
     features -= features.mean(axis=(1, 2), keepdims=True)
     length = float(np.linalg.norm(features))

@@ -14,11 +14,11 @@ from mscf.features.fhog import CELL_PX
 from mscf.features.stack import feature_stack
 from mscf.filter import correlate, learn
 from mscf.frame import check_box, check_frame, check_same_shape, is_gray, single_channel
-from mscf.geometry import Box, nearest_pixel
+from mscf.geometry import Box, nearest_pixel, round_half_away
 from mscf.labels import ideal_label
 from mscf.mutation import measure_threat
 from mscf.plan import Plan
-from mscf.sampling import sample
+from mscf.sampling import sample, sample_exact
 from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
 from mscf.spectrum import dft, inverse_dft, locate_peak, shifted
 
@@ -185,7 +185,7 @@ class Tracker:
             result = result_of(after, peak, threat, sure, plan)
         else:
             offset_rc = locate_peak(response)  # cells
-            pos_rc = displaced(state, offset_rc)
+            pos_rc = displaced(state, offset_rc, self._config)
             probe("pos_rc", np.array(pos_rc))
             # SCALE (spec B8)
             scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale)
@@ -249,7 +249,7 @@ class Tracker:
         evidence = Evidence.of(response)
         sure = confidence(evidence, state.history.elsewhere().after(evidence))
         threat = measure_threat(response, self._config)
-        found = replace(there, pos_rc=displaced(there, locate_peak(response)), held=0)
+        found = replace(there, pos_rc=displaced(there, locate_peak(response), self._config), held=0)
         return result_of(found, float(response.max()), threat, sure, plan)
 
     def resume(self, result: TrackResult) -> None:
@@ -289,18 +289,26 @@ def accepted(frame: Image, plan: Plan) -> Image:
 def sample_features(
     frame: Image, pos_rc: tuple[float, float], scale: float, plan: Plan, *, probe: Probe, stage: str
 ) -> Spectrum:
-    """Windowed features of the search patch around `pos_rc`: (C, M, N') complex64 (spec B2, B3)."""
-    side_px, out_px = plan.patch_side_px(scale), plan.config.sample_side_px
-    patch = sample(frame, nearest_pixel(pos_rc), (side_px, side_px), (out_px, out_px), rule=plan.config.resampling)
+    """Windowed features of the square search patch around `pos_rc`: (C, M, N') complex64 (spec B2, B3)."""
+    out_px = plan.config.sample_side_px
+    side_px = out_px * scale
+    if plan.config.sampling == "exact":
+        patch = sample_exact(frame, pos_rc, (side_px, side_px), (out_px, out_px))
+    else:
+        whole_px = max(1, round_half_away(side_px))
+        patch = sample(frame, nearest_pixel(pos_rc), (whole_px, whole_px), (out_px, out_px))
     probe(f"patch_{stage}", patch)
     features = feature_stack(patch, CELL_PX, plan.color_table)  # (C, M, N)
     probe(f"features_{stage}", features)
     return dft(features * plan.window)
 
 
-def displaced(state: State, offset_rc: tuple[float, float]) -> tuple[float, float]:
-    """New centre of the target in px: the patch's centre pixel plus the peak's offset in cells (spec B6)."""
-    row, col = nearest_pixel(state.pos_rc)
+def displaced(state: State, offset_rc: tuple[float, float], cfg: TrackerConfig) -> tuple[float, float]:
+    """New centre of the target in px: that of the patch plus the peak's offset in cells (spec B6).
+
+    Sampling by pixels forgets the rest of a pixel, as published: a box of even size comes out half a pixel off.
+    """
+    row, col = state.pos_rc if cfg.sampling == "exact" else nearest_pixel(state.pos_rc)
     cell_px = CELL_PX * state.scale
     return row + offset_rc[0] * cell_px, col + offset_rc[1] * cell_px
 
@@ -350,14 +358,16 @@ def training_sample(
     """Sample around the target's new place: (C, M, N').
 
     Where neither the patch nor its scale has changed it is the sample of the detection. Not in the paper, for
-    speed: after a small displacement it is that sample shifted by a linear phase. The Hann window is then off
-    the target by the displacement; in exchange the target is centred to a fraction of a pixel.
+    speed: after a small change it is that sample shifted by a linear phase. The Hann window is then off the target by
+    the displacement, and the patch of another scale by less than half a cell at its border.
     """
-    if after.scale == before.scale:
-        if max(map(abs, offset_rc)) <= plan.config.shift_limit_cells:
-            return shifted(sample_f, offset_rc, plan.grid_mn)
-        if nearest_pixel(after.pos_rc) == nearest_pixel(before.pos_rc):
-            return sample_f
+    cfg, ratio = plan.config, after.scale / before.scale
+    is_near = cfg.shift_limit_cells > 0 and max(map(abs, offset_rc)) <= cfg.shift_limit_cells
+    if is_near and 1 / cfg.shift_limit_ratio <= ratio <= cfg.shift_limit_ratio:
+        return shifted(sample_f, offset_rc, plan.grid_mn)
+    is_same_patch = cfg.sampling == "pixels" and nearest_pixel(after.pos_rc) == nearest_pixel(before.pos_rc)
+    if is_same_patch and after.scale == before.scale:
+        return sample_f
     return sample_features(frame, after.pos_rc, after.scale, plan, probe=probe, stage="train")
 
 

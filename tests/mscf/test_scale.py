@@ -79,3 +79,14 @@ def test_thin_and_tiny_targets_have_at_least_one_cell(frame: Image, size: tuple[
     features = scale_features(frame, box.to_pos_size()[0], plan.first_scale, plan.scale)
     assert features.shape[1] >= 31
     assert np.isfinite(features).all()
+
+
+@pytest.mark.parametrize("part", [-0.45, -0.3, 0.2, 0.4])
+def test_a_growth_by_part_of_a_step_is_seen_by_interpolation(frame: Image, part: float) -> None:
+    grown = zoomed(frame, 1.03**part)
+    for name, expected in (("mscf", 1.03**part), ("reference", 1.0)):
+        plan = Plan.make(TrackerConfig.preset(name), frame.shape, BOX, is_gray=False)
+        scale = plan.first_scale
+        learned = train_scale(scale_features(frame, POS_RC, scale, plan.scale), None, plan.scale)
+        found = estimate_scale(scale_features(grown, POS_RC, scale, plan.scale), scale, learned, plan.scale)
+        assert found / scale == pytest.approx(expected, abs=0.005)

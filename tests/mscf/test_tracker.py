@@ -49,7 +49,7 @@ def test_a_shifted_frame_shifts_the_box(frame: Image, shift: tuple[int, int]) ->
     tracker = Tracker()
     tracker.init(frame, BOX)
     box = tracker.update(np.roll(frame, shift[::-1], axis=(0, 1))).box
-    assert (box.x, box.y) == pytest.approx((BOX.x + shift[0], BOX.y + shift[1]), abs=0.7)
+    assert (box.x, box.y) == pytest.approx((BOX.x + shift[0], BOX.y + shift[1]), abs=0.3)
 
 
 def test_a_target_that_grows_is_reported_larger(frame: Image) -> None:
@@ -62,6 +62,35 @@ def test_a_target_that_grows_is_reported_larger(frame: Image) -> None:
         result = tracker.update(np.asarray(cv2.warpAffine(frame, matrix, (320, 240)), np.uint8))
     assert result.scale == pytest.approx(1.02**15, rel=0.06)
     assert result.box.w / BOX.w == pytest.approx(result.scale)
+
+
+def test_slow_growth_is_followed_without_steps(rng: np.random.Generator) -> None:
+    big = textured(rng, 480, 640)
+
+    def worst_error(preset: str) -> float:
+        tracker, errors = Tracker(TrackerConfig.preset(preset)), []
+        for step in range(61):
+            factor = 0.4 * 1.006**step  # a fifth of a step of the scale filter a frame
+            matrix = np.array([[factor, 0, 160 - 320 * factor], [0, factor, 120 - 240 * factor]])
+            picture = np.asarray(cv2.warpAffine(big, matrix, (320, 240)), np.uint8)
+            if step == 0:
+                tracker.init(picture, Box(140, 105, 40, 30))
+            else:
+                errors.append(abs(tracker.update(picture).scale / 1.006**step - 1))
+        return max(errors)
+
+    assert worst_error("mscf") < 0.012
+    assert worst_error("reference") > 0.015  # half a step
+
+
+@pytest.mark.parametrize("size", [(9, 9), (10, 10), (40, 31), (33, 30)])
+def test_a_box_of_any_size_comes_back_where_it_was(frame: Image, size: tuple[int, int]) -> None:
+    box = Box(140, 100, *size)
+    tracker = Tracker()
+    tracker.init(frame, box)
+    for _ in range(5):
+        found = tracker.update(frame).box
+    assert found.center_xy == pytest.approx(box.center_xy, abs=0.1)
 
 
 def test_equal_runs_give_equal_results(frame: Image) -> None:
@@ -252,11 +281,11 @@ def test_a_look_finds_the_target_elsewhere_and_changes_nothing(frame: Image) -> 
 def test_a_look_where_the_tracker_is_sees_what_an_update_does(frame: Image) -> None:
     tracker = followed(frame)
     moved = np.roll(frame, (2, 4), axis=(0, 1))
-    (row, col), _ = tracker.look(frame, BOX.center_xy).box.to_pos_size()
+    row, col = tracker.snapshot().state.pos_rc
     look = tracker.look(moved, (col + 0.5, row + 0.5))
     result = tracker.update(moved)
-    assert (look.peak, look.threat) == (result.peak, result.threat)
-    assert (look.box.x, look.box.y) == pytest.approx((result.box.x, result.box.y))
+    assert (look.peak, look.threat) == pytest.approx((result.peak, result.threat), rel=1e-3)
+    assert look.box.center_xy == pytest.approx(result.box.center_xy)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.5])
@@ -266,7 +295,7 @@ def test_a_look_for_another_size_finds_it(frame: Image, factor: float) -> None:
     matrix = np.array([[factor, 0, col * (1 - factor)], [0, factor, row * (1 - factor)]])
     resized = np.asarray(cv2.warpAffine(frame, matrix, (320, 240)), np.uint8)
     fitting, other = tracker.look(resized, BOX.center_xy, factor), tracker.look(resized, BOX.center_xy)
-    assert (fitting.scale, other.scale) == pytest.approx((factor, 1))
+    assert (fitting.scale, other.scale) == pytest.approx((factor, 1), abs=0.002)
     assert fitting.box.w == pytest.approx(factor * BOX.w)
     assert fitting.confidence > other.confidence
 
