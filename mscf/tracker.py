@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mscf.arrays import Image, Probe, Spectrum, no_probe
-from mscf.confidence import Evidence, History, confidence
+from mscf.confidence import confidence
 from mscf.config import TrackerConfig
 from mscf.errors import TrackerNotInitialisedError
 from mscf.features.fhog import CELL_PX
@@ -50,7 +50,6 @@ class State:
     label_f: Spectrum  # (M, N') r
     scale_filter: ScaleFilter
     peak_mean: float  # running mean of the response's peak; NaN before the first response
-    history: History  # of the responses, for the confidence
     held: int  # frames for which the target has been held hidden
 
 
@@ -137,7 +136,6 @@ class Tracker:
             label_f=learned.label_f,
             scale_filter=train_scale(features, None, plan.scale),
             peak_mean=math.nan,
-            history=History(),
             held=0,
         )
         self._started = Snapshot(plan, state)
@@ -175,13 +173,11 @@ class Tracker:
         # SELECTION (paper Eq. 1, 2)
         threat = measure_threat(response, self._config, probe=probe)
         probe("threat", np.array(threat))
-        evidence = Evidence.of(response)
-        history = state.history.after(evidence)
-        sure = confidence(evidence, history)
+        sure = confidence(response)
         probe("confidence", np.array(sure))
 
         if is_hidden(peak, state, self._config):
-            after = replace(state, frame_index=state.frame_index + 1, history=history, held=state.held + 1)
+            after = replace(state, frame_index=state.frame_index + 1, held=state.held + 1)
             result = result_of(after, peak, threat, sure, plan)
         else:
             offset_rc = locate_peak(response)  # cells
@@ -191,7 +187,7 @@ class Tracker:
             scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale)
             probe("scale_features_detect", scale_sample)
             scale = estimate_scale(scale_sample, state.scale, state.scale_filter, plan.scale, probe)
-            after = seen(state, peak, history, pos_rc, scale, self._config)
+            after = seen(state, peak, pos_rc, scale, self._config)
             result = result_of(after, peak, threat, sure, plan)
             # TRAINING (paper Eq. 3-13)
             is_learned = learn(result)
@@ -246,16 +242,12 @@ class Tracker:
         there = replace(state, pos_rc=pos_rc, scale=state.scale if scale is None else scale * plan.first_scale)
         sample_f = sample_features(frame, there.pos_rc, there.scale, plan, probe=no_probe, stage="detect")
         response = inverse_dft(correlate(there.filter_f, sample_f), plan.grid_mn)  # (M, N)
-        evidence = Evidence.of(response)
-        sure = confidence(evidence, state.history.elsewhere().after(evidence))
         threat = measure_threat(response, self._config)
         found = replace(there, pos_rc=displaced(there, locate_peak(response), self._config), held=0)
-        return result_of(found, float(response.max()), threat, sure, plan)
+        return result_of(found, float(response.max()), threat, confidence(response), plan)
 
     def resume(self, result: TrackResult) -> None:
         """Go on from the place and size of `result`, of `look`, with what is known now.
-
-        The confidence no longer counts the responses at the former place.
 
         Raises
         ------
@@ -264,8 +256,8 @@ class Tracker:
         """
         plan, state = self._current("resume")
         pos_rc, _ = result.box.to_pos_size()
-        scale, history = result.scale * plan.first_scale, state.history.elsewhere()
-        self._started = Snapshot(plan, replace(state, pos_rc=pos_rc, scale=scale, history=history, held=0))
+        scale = result.scale * plan.first_scale
+        self._started = Snapshot(plan, replace(state, pos_rc=pos_rc, scale=scale, held=0))
 
     def _current(self, verb: str) -> tuple[Plan, State]:
         if self._started is None:
@@ -329,9 +321,7 @@ def is_hidden(peak: float, state: State, cfg: TrackerConfig) -> bool:
     return state.held < cfg.hold_frames and peak < cfg.hold_floor * state.peak_mean  # False while that is NaN
 
 
-def seen(
-    state: State, peak: float, history: History, pos_rc: tuple[float, float], scale: float, cfg: TrackerConfig
-) -> State:
+def seen(state: State, peak: float, pos_rc: tuple[float, float], scale: float, cfg: TrackerConfig) -> State:
     """State after a frame that shows the target, or in which waiting for it was given up."""
     starts_anew = math.isnan(state.peak_mean) or state.held >= cfg.hold_frames
     mean = peak if starts_anew else state.peak_mean + PEAK_MEAN_RATE * (peak - state.peak_mean)
@@ -341,7 +331,6 @@ def seen(
         pos_rc=pos_rc,
         scale=scale,
         peak_mean=mean,
-        history=history,
         held=0,
     )
 

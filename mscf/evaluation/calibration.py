@@ -1,6 +1,6 @@
 """Calibration of the confidence: python -m mscf.evaluation.calibration DATASET.
 
-The tracker runs over each sequence from nine neighbouring first boxes, twice: over the frames as they are, and over
+The tracker runs over each sequence from ten frames spread over it (`tre`), twice: over the frames as they are, and over
 frames in which the target is made to vanish for a while. Each response becomes one row: what it measured, and
 whether the box held the target. A logistic regression is fitted to the rows, every sequence with the same weight, and
 judged on the sequence that was left out of the fit.
@@ -23,18 +23,20 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from mscf.arrays import Real, Real64
-from mscf.confidence import BIAS, FIRST_RESPONSES, LOG_APCE, LOG_PEAK, RECENT_RATE, Evidence
+from mscf.confidence import BIAS, LOG_PSR, LOWEST_PEAK, peak_to_sidelobe
 from mscf.errors import MscfError, OutputError
 from mscf.evaluation.datasets import Sequence, read_dataset
 from mscf.evaluation.occlusion import hidden_span, without_target
-from mscf.evaluation.protocol import neighbours
+from mscf.evaluation.protocol import starts
 from mscf.figure import check_plottable
 from mscf.recording import check_writable
 from mscf.tracker import Tracker
 
 LEAST_OVERLAP = 0.25  # with the truth, for a box to hold the target
-SIDELOBE_HOLE_CELLS = 5  # half side of the square around the peak that is not sidelobe (Bolme et al., CVPR 2010)
-CHOSEN = ("peak", "recent APCE")  # what `mscf.confidence` uses; in the order of its coefficients
+RUNS = 10  # over a sequence, from frames spread over it: runs from one frame and its neighbours are all alike
+CHOSEN = ("PSR",)  # what `mscf.confidence` uses; in the order of its coefficients
+FIRST_RESPONSES = 5  # after the start, whose mean is what "over first" is relative to
+RECENT_RATE = 0.2  # of the running mean, per response: its memory is five responses
 SHOWN = ("truck2", "Surfing06", "car16_1")  # hidden, lost, and lost with a change of size
 LOWEST_PSR = 1e-3  # of the argument of the logarithm
 RIDGE = 1e-3  # of the fit, against separable data; the coefficients do not feel it
@@ -65,26 +67,22 @@ class Roc:
     auc: float
 
 
-def peak_to_sidelobe(response: Real) -> float:
-    """Peak-to-sidelobe ratio: (maximum - mean) / deviation, the latter two of all but 11 x 11 cells around it.
+def peak_to_energy(response: Real) -> float:
+    """Average peak-to-correlation energy: (maximum - minimum)^2 over the mean of (value - minimum)^2.
+
+    High where one sharp peak stands over calm surroundings (Wang et al., CVPR 2017).
 
     Parameters
     ----------
-    response : (M, N) float32, circular, each side over 11 cells.
+    response : (M, N) float32.
 
     Returns
     -------
-    0 for a map that is constant.
+    1 .. M*N; 1 for a map that is constant.
     """
-    rows, cols = response.shape
-    row, col = np.unravel_index(int(np.argmax(response)), (rows, cols))
-    centred = np.roll(response, (rows // 2 - int(row), cols // 2 - int(col)), axis=(0, 1))
-    hole = np.zeros((rows, cols), dtype=bool)
-    reach = SIDELOBE_HOLE_CELLS
-    hole[rows // 2 - reach : rows // 2 + reach + 1, cols // 2 - reach : cols // 2 + reach + 1] = True
-    sidelobe = centred[~hole].astype(np.float64)
-    deviation = float(sidelobe.std())
-    return float((response[row, col] - sidelobe.mean()) / deviation) if deviation > 0 else 0.0
+    above = response.astype(np.float64) - float(response.min())
+    energy = float(np.mean(above * above))
+    return float(above.max()) ** 2 / energy if energy > 0 else 1.0
 
 
 def collect(sequence: Sequence) -> Responses:
@@ -95,28 +93,29 @@ def collect(sequence: Sequence) -> Responses:
     """
     cv2.setNumThreads(1)
     threadpool_limits(1, "blas")
-    frames = [sequence.read(index) for index in range(len(sequence.images))]
+    pictures = [sequence.read(index) for index in range(len(sequence.images))]
     columns: dict[str, list[Real64]] = {}
     is_held: list[bool] = []
     is_covered: list[bool] = []
     is_staged: list[bool] = []
-    runs = neighbours(sequence)
+    runs = starts(sequence, "tre", RUNS)
     for stage in (False, True):
         for run, start in enumerate(runs):
+            frames, truth = pictures[start.index :], sequence.truth[start.index :]
             span = hidden_span(len(frames), run, len(runs)) if stage else range(0)
             tracker, rows = Tracker(), []
             tracker.init(frames[0], start.box)
             for index in range(1, len(frames)):
-                true = sequence.truth[index]
+                true = truth[index]
                 covers = true is not None and index in span
                 frame = without_target(frames[index], true) if true is not None and covers else frames[index]
                 seen: dict[str, Any] = {}
                 result = tracker.update(frame, probe=seen.__setitem__)
-                evidence = Evidence.of(seen["response"])
-                if evidence.log_peak == -math.inf:
+                response = seen["response"]
+                if not result.peak > LOWEST_PEAK:
                     continue
-                log_psr = math.log(max(peak_to_sidelobe(seen["response"]), LOWEST_PSR))
-                rows.append((evidence.log_peak, evidence.log_apce, log_psr, result.threat))
+                log_psr = math.log(max(peak_to_sidelobe(response), LOWEST_PSR))
+                rows.append((math.log(result.peak), math.log(peak_to_energy(response)), log_psr, result.threat))
                 is_held.append(true is not None and not covers and result.box.iou(true) >= LEAST_OVERLAP)
                 is_covered.append(covers)
                 is_staged.append(stage)
@@ -129,16 +128,19 @@ def collect(sequence: Sequence) -> Responses:
 def features_of(rows: Real64) -> dict[str, Real64]:
     """Candidates for the regression, of one run: (n, 4) log peak, log APCE, log PSR, threat -> (n,) each.
 
-    All are relative to the mean of the first responses; "recent" is the running mean.
+    "recent" is the running mean; "over first" is relative to the mean of the first responses of the run.
     """
     count = np.minimum(np.arange(1, len(rows) + 1), FIRST_RESPONSES)
     first = np.cumsum(rows, axis=0)[count - 1] / count[:, None]  # (n, 4)
     recent = rows.copy()
     for index in range(1, len(rows)):
         recent[index] = recent[index - 1] + RECENT_RATE * (rows[index] - recent[index - 1])
-    names = ("peak", "APCE", "PSR", "threat")
-    now = dict(zip(names, (rows - first).T, strict=True))
-    return now | {f"recent {name}": column for name, column in zip(names, (recent - first).T, strict=True)}
+    features: dict[str, Real64] = {}
+    for number, name in enumerate(("peak", "APCE", "PSR", "threat")):
+        now, mean = rows[:, number], recent[:, number]
+        features |= {name: now, f"recent {name}": mean}
+        features |= {f"{name} over first": now - first[:, number], f"recent {name} over first": mean - first[:, number]}
+    return features
 
 
 def logistic(x: Real64, coefficients: Real64) -> Real64:
@@ -274,15 +276,15 @@ def report(table: Table, out: TextIO) -> dict[str, Any]:
     real, staged = ~table.is_staged, table.is_covered | (table.is_staged & table.is_held)
     rows = f"{len(p)} responses of {len(table.names)} sequences, {table.is_held.sum()} on the target"
     print(f"{rows}, {table.is_covered.sum()} with the target covered", file=out)
-    print(f"fitted : BIAS = {chosen[0]:.2f}, LOG_PEAK = {chosen[1]:.2f}, LOG_APCE = {chosen[2]:.2f}", file=out)
-    print(f"in use : BIAS = {BIAS:.2f}, LOG_PEAK = {LOG_PEAK:.2f}, LOG_APCE = {LOG_APCE:.2f}\n", file=out)
+    print(f"fitted : BIAS = {chosen[0]:.2f}, LOG_PSR = {chosen[1]:.2f}", file=out)
+    print(f"in use : BIAS = {BIAS:.2f}, LOG_PSR = {LOG_PSR:.2f}\n", file=out)
 
     print("area under the ROC, each sequence judged by the others\n", file=out)
     print("| features | all | frames as they are | covered against on target | log loss |", file=out)
     print("|---|---|---|---|---|", file=out)
     areas = {}
     others = [name for name in table.features if name not in CHOSEN]
-    for names in (CHOSEN, *((name,) for name in table.features), *((*CHOSEN, name) for name in others)):
+    for names in (CHOSEN, *((name,) for name in others), *((*CHOSEN, name) for name in others)):
         guess = table.left_out(names)
         area = [table.roc(guess, where).auc for where in (None, real, staged)]
         loss = log_loss(guess, table.is_held, table.weight)

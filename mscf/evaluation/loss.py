@@ -1,6 +1,6 @@
 """What long-term tracking is worth: python -m mscf.evaluation.loss DATASET.
 
-Each sequence is run from nine neighbouring first boxes over its frames as they are, and again over frames in which
+Each sequence is run from ten frames spread over it (`tre`), over the frames as they are, and again over frames in which
 the target is made to vanish for a while and comes back where it then is. A plain tracker calls every frame a
 measurement; the long-term tracker is asked.
 """
@@ -20,10 +20,10 @@ from threadpoolctl import threadpool_limits
 
 from mscf.arrays import Image
 from mscf.errors import MscfError
-from mscf.evaluation.calibration import LEAST_OVERLAP
+from mscf.evaluation.calibration import LEAST_OVERLAP, RUNS
 from mscf.evaluation.datasets import Sequence, read_dataset
 from mscf.evaluation.occlusion import hidden_span, without_target
-from mscf.evaluation.protocol import neighbours
+from mscf.evaluation.protocol import starts
 from mscf.geometry import Box
 from mscf.long_term import LongTermPolicy, LongTermResult, LongTermTracker, TrackStatus
 from mscf.tracker import Tracker
@@ -104,17 +104,16 @@ def compare(sequence: Sequence, frame_s: float, policy: LongTermPolicy) -> dict[
     """Counts by tracker and by whether the target was made to vanish; one thread."""
     cv2.setNumThreads(1)
     threadpool_limits(1, "blas")
-    plain = [sequence.read(index) for index in range(len(sequence.images))]
+    pictures = [sequence.read(index) for index in range(len(sequence.images))]
     counts: dict[tuple[str, bool], Count] = {}
-    runs = neighbours(sequence)
+    runs = starts(sequence, "tre", RUNS)
     for is_staged in (False, True):
         for run, start in enumerate(runs):
-            span = hidden_span(len(plain), run, len(runs)) if is_staged else range(0)
-            frames, truth = list(plain), list(sequence.truth)
-            for index in span:
+            frames, truth = pictures[start.index :], list(sequence.truth[start.index :])
+            for index in hidden_span(len(frames), run, len(runs)) if is_staged else range(0):
                 true = truth[index]
                 if true is not None:
-                    frames[index], truth[index] = without_target(plain[index], true), None
+                    frames[index], truth[index] = without_target(frames[index], true), None
             for name, claims in (
                 ("plain", plain_claims(frames, start.box)),
                 ("long-term", long_term_claims(frames, start.box, frame_s, policy)),

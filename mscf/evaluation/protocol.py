@@ -53,23 +53,6 @@ def starts(sequence: Sequence, protocol: str, count: int = TRE_STARTS) -> tuple[
     return (first,) if protocol == "ope" else tuple(Start(first.index, box) for box in _spatial(first.box))
 
 
-def neighbours(sequence: Sequence) -> tuple[Start, ...]:
-    """Nine starts from the first frame: its true box, and its eight shifts by 1 px.
-
-    Single runs are bistable on some sequences; these are all of the same difficulty, as those of `sre` are not.
-
-    Raises
-    ------
-    ConfigError
-        If the first frame has no box.
-    """
-    first = sequence.truth[0]
-    if first is None:
-        raise ConfigError(f"{sequence.name} has no box in its first frame")
-    shifts = [(0, 0)] + [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (dx, dy) != (0, 0)]
-    return tuple(Start(0, Box(first.x + dx, first.y + dy, first.w, first.h)) for dx, dy in shifts)
-
-
 def _temporal(truth: tuple[Box | None, ...], count: int) -> tuple[Start, ...]:
     least = max(min(TRE_LEAST_FRAMES, len(truth) // 2), 2)  # two frames are one update
     usable = [

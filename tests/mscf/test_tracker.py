@@ -90,7 +90,7 @@ def test_a_box_of_any_size_comes_back_where_it_was(frame: Image, size: tuple[int
     tracker.init(frame, box)
     for _ in range(5):
         found = tracker.update(frame).box
-    assert found.center_xy == pytest.approx(box.center_xy, abs=0.1)
+    assert found.center_xy == pytest.approx(box.center_xy, abs=0.25)
 
 
 def test_equal_runs_give_equal_results(frame: Image) -> None:

@@ -4,13 +4,13 @@ import io
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mscf import Tracker
-from mscf.arrays import Real
-from mscf.confidence import BIAS, LOG_APCE, LOG_PEAK, Evidence, History, confidence
+from mscf.confidence import BIAS, LOG_PSR, peak_to_sidelobe
 from mscf.evaluation.calibration import (
     CHOSEN,
     Responses,
@@ -22,7 +22,7 @@ from mscf.evaluation.calibration import (
     log_loss,
     logistic,
     main,
-    peak_to_sidelobe,
+    peak_to_energy,
     reliability,
     report,
     roc,
@@ -80,9 +80,9 @@ def spread(rng: np.random.Generator, sequences: int) -> Table:
     """Made rows whose probability is the logistic function of their features."""
     parts = []
     for index in range(sequences):
-        x = rng.normal(0, 1, (400, 8))
+        x = rng.normal(0, 1, (400, 16))
         features = dict(zip(features_of(np.zeros((1, 4))), x.T, strict=True))
-        p = logistic(np.column_stack([features[name] for name in CHOSEN]), np.array([1.0, 2.0, 1.0]))
+        p = logistic(np.column_stack([features[name] for name in CHOSEN]), np.array([1.0, 2.0]))
         flags = np.arange(400) % 2 == 0
         parts.append(Responses(f"made{index}", features, rng.uniform(size=400) < p, ~flags & (p < 0), ~flags))
     return Table.of(parts)
@@ -110,46 +110,52 @@ def test_a_sequence_is_not_judged_by_itself(rng: np.random.Generator) -> None:
 def test_the_report_has_the_fitted_coefficients_and_every_candidate(rng: np.random.Generator) -> None:
     out = io.StringIO()
     figures = report(spread(rng, 4), out)
-    assert figures["coefficients"] == pytest.approx({"bias": 1.0, "peak": 2.0, "recent APCE": 1.0}, abs=0.3)
-    for name in ("threat", "PSR", "recent APCE", "peak + recent APCE + threat"):
+    assert figures["coefficients"] == pytest.approx({"bias": 1.0, "PSR": 2.0}, abs=0.3)
+    for name in ("threat", "PSR", "recent APCE", "PSR + recent peak over first"):
         assert f"| {name} |" in out.getvalue()
 
 
-def response(peak: float, noise: float, at: tuple[int, int] = (0, 0)) -> Real:
-    rng = np.random.default_rng(3)
-    d = np.minimum(np.arange(50), 50 - np.arange(50))
-    bump = peak * np.exp(-(d[:, None] ** 2 + d[None, :] ** 2) / 4)
-    return np.roll(bump + rng.normal(0, noise, (50, 50)), at, axis=(0, 1)).astype(np.float32)
+def test_the_energy_ratio_is_that_of_the_definition() -> None:
+    single = np.full((50, 50), 3.0, np.float32)
+    single[7, 9] = 5.0
+    assert peak_to_energy(single) == pytest.approx(2500)  # one cell of all has all the energy
+    half = np.zeros((50, 50), np.float32)
+    half[:25] = 1
+    assert peak_to_energy(half) == pytest.approx(2)
+    assert peak_to_energy(np.full((50, 50), 7, np.float32)) == 1
 
 
-@pytest.mark.parametrize("at", [(0, 0), (25, 25), (3, 47)])
-def test_the_sidelobe_ratio_is_that_of_the_definition_wherever_the_peak_is(at: tuple[int, int]) -> None:
-    assert peak_to_sidelobe(response(1.0, 0.05, at)) == pytest.approx(1.0 / 0.05, rel=0.15)
-    assert peak_to_sidelobe(np.ones((50, 50), np.float32)) == 0
+def test_candidates_are_seen_now_of_late_and_against_the_start() -> None:
+    rows = np.zeros((8, 4))
+    rows[:5, 2] = [1.0, 2.0, 3.0, 4.0, 5.0]
+    rows[5:, 2] = 10.0
+    features = features_of(rows)
+    assert features["PSR"] == pytest.approx(rows[:, 2])
+    assert features["PSR over first"][[0, 4, 5, 7]] == pytest.approx([0.0, 2.0, 7.0, 7.0])
+    assert features["recent PSR"][1] == pytest.approx(1.2)
+    assert features["recent PSR over first"][1] == pytest.approx(1.2 - 1.5)
+    assert not features["recent threat"].any()
 
 
 def test_what_is_calibrated_is_what_the_tracker_uses(sequence_dir: Path) -> None:
     sequence = read_sequence(sequence_dir)
-    tracker, history, rows, said = Tracker(), History(), [], []
+    tracker, rows, said = Tracker(), [], []
     box = sequence.truth[0]
     assert box is not None
     tracker.init(sequence.read(0), box)
     for index in range(1, 12):
-        seen: dict[str, Real] = {}
+        seen: dict[str, Any] = {}
         said.append(tracker.update(sequence.read(index), probe=seen.__setitem__).confidence)
-        evidence = Evidence.of(seen["response"])
-        history = history.after(evidence)
-        assert confidence(evidence, history) == pytest.approx(said[-1])
-        rows.append((evidence.log_peak, evidence.log_apce, 0.0, 0.0))
+        rows.append((0.0, 0.0, math.log(peak_to_sidelobe(seen["response"])), 0.0))
     features = features_of(np.array(rows))
-    p = logistic(np.column_stack([features[name] for name in CHOSEN]), np.array([BIAS, LOG_PEAK, LOG_APCE]))
+    p = logistic(np.column_stack([features[name] for name in CHOSEN]), np.array([BIAS, LOG_PSR]))
     assert p == pytest.approx(said)
 
 
 def test_frames_with_the_target_covered_are_labelled_as_without_it(sequence_dir: Path) -> None:
     found = collect(read_sequence(sequence_dir))
-    assert found.is_staged.sum() == len(found.is_held) / 2 == 9 * 11
-    assert found.is_covered.sum() == 9 * 3
+    assert found.is_staged.sum() == len(found.is_held) / 2 == 11 + 10 + 9 + 8 + 7 + 6 + 5  # starts in the first half
+    assert found.is_covered.sum() == 3 + 2 + 2 + 2 + 2 + 1 + 1
     assert not found.is_held[found.is_covered].any()
     assert found.is_held[~found.is_staged].all()
 
@@ -162,7 +168,7 @@ def test_the_command_writes_table_plot_and_figures(
     assert main([str(sequence_dir.parent), "--plot", str(plot), "--json", str(figures)]) == 0
     assert "fitted : BIAS" in capsys.readouterr().out
     assert plot.read_bytes().startswith(b"\x89PNG")
-    assert json.loads(figures.read_text())["rows"] == 2 * 2 * 9 * 11
+    assert json.loads(figures.read_text())["rows"] == 2 * 2 * 56
 
 
 def test_a_missing_data_set_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
