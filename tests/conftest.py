@@ -1,6 +1,7 @@
 """Where the tests find the reference data and sequences that are not part of the project."""
 
 import os
+import signal
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,10 @@ from mover import write_sequence
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
+
+# a shell that starts the tests in the background has them ignore Ctrl-C, and so would the commands that they interrupt
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

@@ -53,7 +53,7 @@ def test_ctrl_c_ends_with_130_and_leaves_all_files_whole(tmp_path: Path) -> None
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         boxes = tmp_path / "a.txt"
         while process.poll() is None and lines_in(boxes) < 10:
-            time.sleep(0.005)  # on a busy machine a loop without it is not run often enough
+            time.sleep(0.005)
         process.send_signal(signal.SIGINT)
         said, complaints = process.communicate()
     assert process.returncode == 130, complaints
