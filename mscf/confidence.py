@@ -55,4 +55,6 @@ def confidence(response: Real) -> float:
     if not float(response.max()) > LOWEST_PEAK:  # also where it is NaN
         return 0.0
     ratio = peak_to_sidelobe(response)
-    return 1 / (1 + math.exp(-(BIAS + LOG_PSR * math.log(ratio)))) if ratio > 0 else 0.0
+    if not 0 < ratio < math.inf:  # an infinite peak is no target
+        return 0.0
+    return 1 / (1 + math.exp(-(BIAS + LOG_PSR * math.log(ratio))))

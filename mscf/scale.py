@@ -74,6 +74,7 @@ def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan
         center_rc = math.floor(pos_rc[0]), math.floor(pos_rc[1])
         whole_hw = [(max(1, math.floor(h)), max(1, math.floor(w))) for h, w in sizes_hw]
         patches = np.stack([sample(frame, center_rc, size_hw, plan.model_hw) for size_hw in whole_hw])
+    # patches: (K, h, w[, 3])
     features = fhog(patches).reshape(len(patches), -1)  # (K, F)
     features *= plan.window[:, None]
     return features

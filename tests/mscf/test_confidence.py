@@ -59,3 +59,14 @@ def test_confidence_is_the_logistic_of_the_ratio_and_falls_with_noise() -> None:
     assert by_noise[-1] < 0.1
     ratio = peak_to_sidelobe(response(0.1, 0.008))
     assert confidence(response(0.1, 0.008)) == pytest.approx(1 / (1 + math.exp(-BIAS) * ratio**-LOG_PSR))
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-3, 1e3, 1e18])
+def test_any_height_gives_a_number_from_0_to_1(scale: float) -> None:
+    assert 0 <= confidence(response(scale, scale / 10)) <= 1
+
+
+def test_an_infinite_peak_is_not_trusted() -> None:
+    broken = response(0.1, 0.005)
+    broken[3, 4] = math.inf
+    assert confidence(broken) == 0
