@@ -31,6 +31,7 @@ from companion.types import (
     Select,
     TrackSample,
 )
+from companion.wire import Wire
 from mscf import Box, MscfError, TrackStatus
 
 CAMERA_S = 4.0  # how long to look, after the first frame
@@ -100,7 +101,8 @@ class _Heard:
 def check_link(config: Config, out: TextIO) -> bool:
     """Listen for the autopilot, ask for its telemetry and the parameters that matter, and say what to change."""
     link = Link(config.link.device, config.link.baud)
-    codec = MavlinkCodec(config.link.system_id, config.link.component_id)
+    wire = Wire(config.link.system_id or 1)
+    codec = MavlinkCodec(wire, config.link.system_id, config.link.component_id)
     heard, counts, parameters = _Heard(), Counter[str](), dict[str, float]()
     begin_s = time.monotonic()
     try:
@@ -114,14 +116,14 @@ def check_link(config: Config, out: TextIO) -> bool:
                     for name in WANTED[heard.heartbeat.autopilot]:
                         if name not in parameters:
                             codec.send_parameter_request(name)
-            for event in codec.receive(link.read(now_s), now_s):
+            for event in codec.receive(wire.receive(link.read(now_s)), now_s):
                 if isinstance(event, Heartbeat):
                     heard.first_s = heard.first_s or now_s
                     heard.heartbeat = event
                 elif isinstance(event, Parameter):
                     parameters[event.name] = event.value
                 counts[type(event).__name__] += 1
-            link.write(codec.drain())
+            link.write(b"".join(wire.drain()))
             limit_s = LINK_S if heard.heartbeat is not None else LINK_WAIT_S
             if now_s - (heard.first_s or begin_s) > limit_s:
                 break

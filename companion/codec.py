@@ -1,20 +1,18 @@
-"""MAVLink 2: bytes to events, setpoints and requests to bytes. Sans-I/O: no port, no thread, no clock.
+"""What the autopilot says, as events; setpoints, requests and texts, as messages. Sans-I/O: no port, no clock.
 
 One codec is one component (191, the onboard computer) on one vehicle: that of the first autopilot whose heartbeat
-arrives, unless the configuration names another. Everything else on the link is not for us.
+arrives, unless the configuration names another. Everything else on the link is not for it.
 """
 
 import math
-import os
 import struct
 from typing import TYPE_CHECKING, Any
-
-os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink at import; version 1 cannot carry what we send
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.flight_modes import flight_mode, request_numbers
 from companion.safety import SafeSetpoint
+from companion.time_sync import BootClock
 from companion.types import (
     Attitude,
     Autopilot,
@@ -22,6 +20,7 @@ from companion.types import (
     Battery,
     Direction,
     FlightMode,
+    GlobalPosition,
     Heartbeat,
     HeightReading,
     Landed,
@@ -36,18 +35,17 @@ from companion.types import (
     SetpointInForce,
     Text,
 )
+from companion.wire import Wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 # velocity and yaw rate count, positions, accelerations and yaw do not; the force bit stays clear
 VELOCITY_AND_YAW_RATE = 1479
 TEXT_LENGTH = 50  # of one STATUSTEXT
 AUTOPILOT_COMPONENT = 1
 _FLOAT = struct.Struct("<f")
-_REBOOT_S = 1.0  # by which time_boot_ms goes back; less is reordering on the link
-_CLOCK_LEAK = 1e-4  # s/s: a quartz drifts less, and a link whose delay has grown is found again
-_MAX_BACKLOG = 65536  # bytes handed to the parser at once; a longer read is old
+_MOST_ANSWERS = 4  # to TIMESYNC, a read: a flood of questions must not push the setpoint out of the port
 
 _AUTOPILOTS = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
@@ -95,48 +93,8 @@ def rates_hz(autopilot: Autopilot) -> dict[int, float]:
     return _RATES_HZ | more
 
 
-class _Outbox:
-    """What pymavlink writes to; its sequence numbers advance only in `send`."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def write(self, data: bytes) -> None:
-        self.data += data
-
-    def drain(self) -> bytes:
-        data = bytes(self.data)
-        self.data.clear()
-        return data
-
-
-class _BootClock:
-    """From the autopilot's time since boot to our clock: the smallest delay seen is taken for none.
-
-    MAVLink's TIMESYNC is not used: it would take off half of its shortest round trip, of which only those below 20 ms
-    count. What is left here is at most those 10 ms: at 45 deg/s less than half a degree of bearing.
-    """
-
-    def __init__(self) -> None:
-        self._offset_s = math.inf
-        self._boot_s = -math.inf
-        self._arrival_s = 0.0
-
-    def has_gone_back(self, boot_s: float) -> bool:
-        return boot_s < self._boot_s - _REBOOT_S
-
-    def reset(self) -> None:
-        self.__init__()  # type: ignore[misc]  # all of it begins anew
-
-    def ours_s(self, boot_s: float, arrival_s: float) -> float:
-        leaked_s = self._offset_s + _CLOCK_LEAK * max(arrival_s - self._arrival_s, 0.0)
-        self._offset_s = min(leaked_s, arrival_s - boot_s)
-        self._boot_s, self._arrival_s = max(boot_s, self._boot_s), arrival_s
-        return boot_s + self._offset_s
-
-
 class MavlinkCodec:
-    """Bytes in, events out; setpoints, requests and texts in, bytes out.
+    """Messages in, events out; setpoints, requests and texts go out over the wire.
 
     Parameters
     ----------
@@ -145,21 +103,23 @@ class MavlinkCodec:
     setpoint_frame : local_ned, or body_ned, which both autopilots rotate by the yaw.
     """
 
-    def __init__(self, system_id: int = 0, component_id: int = 191, setpoint_frame: str = "local_ned") -> None:
+    def __init__(
+        self, wire: Wire, system_id: int = 0, component_id: int = 191, setpoint_frame: str = "local_ned"
+    ) -> None:
         self._wanted_id = system_id
-        self._outbox = _Outbox()
-        self._mav = mavlink.MAVLink(self._outbox, srcSystem=system_id or 1, srcComponent=component_id)
-        self._mav.robust_parsing = True
+        self._wire = wire
+        self._mav = wire.sender(component_id)
         self._frame = _FRAMES[setpoint_frame]
         self._is_body = setpoint_frame == "body_ned"
-        self._clock = _BootClock()
+        self._clock = BootClock()
         self._autopilot: tuple[int, int, Autopilot] | None = None  # system, component, kind
         self._yaw_rad: float | None = None
         self._text_id = 0
+        self._answers = 0  # to TIMESYNC, in this read
         self._readers: dict[str, Callable[[Any, float], list[LinkEvent]]] = {
             "ATTITUDE": self._attitude,
             "LOCAL_POSITION_NED": self._local,
-            "GLOBAL_POSITION_INT": _height,
+            "GLOBAL_POSITION_INT": _global,
             "EXTENDED_SYS_STATE": _landed,
             "DISTANCE_SENSOR": _range,
             "RC_CHANNELS": _rc,
@@ -175,22 +135,18 @@ class MavlinkCodec:
         """Kind of the autopilot, once it has been heard."""
         return self._autopilot[2] if self._autopilot is not None else None
 
-    # ---------------------------------------------------------------------------------- bytes -> events
-    def receive(self, data: bytes, now_s: float) -> list[LinkEvent]:
-        """Events in what has arrived, in any chunks; never raises, whatever the bytes.
-
-        A command to this component is answered with UNSUPPORTED; the answer is in the next bytes out.
-        """
+    # ---------------------------------------------------------------------------------- messages -> events
+    def receive(self, messages: "Iterable[Any]", now_s: float) -> list[LinkEvent]:
+        """Events in messages that have arrived; never raises, whatever is in them."""
         events: list[LinkEvent] = []
-        for message in self._parsed(data[-_MAX_BACKLOG:]):
+        self._answers = 0
+        for message in messages:
             kind = message.get_type()
-            if kind == "BAD_DATA":
-                continue
             if kind == "HEARTBEAT":
                 events += self._heartbeat(message, now_s)
                 continue
-            if kind in {"COMMAND_LONG", "COMMAND_INT"}:
-                self._refuse(message)
+            if kind == "TIMESYNC":
+                self._time_sync(message, now_s)
                 continue
             sender = (message.get_srcSystem(), message.get_srcComponent())
             if self._autopilot is None or sender != self._autopilot[:2] or kind not in self._readers:
@@ -206,13 +162,6 @@ class MavlinkCodec:
             events += self._readers[kind](message, time_s)
         return events
 
-    def _parsed(self, data: bytes) -> list[Any]:
-        messages = self._mav.parse_buffer(data) or []
-        # pymavlink frees its buffer only when nothing is left in it, which may never happen
-        del self._mav.buf[: self._mav.buf_index]
-        self._mav.buf_index = 0
-        return messages
-
     def _heartbeat(self, message: Any, now_s: float) -> list[LinkEvent]:
         """A heartbeat of the vehicle; the first one latches it. Ground stations and cameras say autopilot 8."""
         kind = _AUTOPILOTS.get(message.autopilot)
@@ -221,13 +170,23 @@ class MavlinkCodec:
             return []
         if self._autopilot is None:
             self._autopilot = (*sender, kind)
-            self._mav.srcSystem = sender[0]
+            self._wire.system_id = sender[0]
         if self._autopilot[:2] != sender:
             return []
         mode, name = flight_mode(kind, message.custom_mode)
         is_bad = message.system_status in {mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY}
         is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         return [Heartbeat(now_s, kind, message.type in _MULTICOPTERS, mode, name, is_armed, is_bad)]
+
+    def _time_sync(self, message: Any, now_s: float) -> None:
+        """Tell whoever asks our time, in ns; take the autopilot's."""
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if message.tc1 == 0:
+            if self._answers < _MOST_ANSWERS:
+                self._answers += 1
+                self._mav.timesync_send(round(now_s * 1e9), message.ts1)
+        elif self._autopilot is not None and sender == self._autopilot[:2]:
+            self._clock.hear(message.tc1, message.ts1, now_s)
 
     def _attitude(self, message: Any, time_s: float) -> list[LinkEvent]:
         angles = message.roll, message.pitch, message.yaw, message.yawspeed
@@ -254,22 +213,7 @@ class MavlinkCodec:
             return []
         return [ModeAnswer(message.result == mavlink.MAV_RESULT_ACCEPTED)]
 
-    def _refuse(self, message: Any) -> None:
-        """Answer a command to us at once: silence would be asked again and again."""
-        if (message.target_system, message.target_component) != (self._mav.srcSystem, self._mav.srcComponent):
-            return
-        self._mav.command_ack_send(
-            message.command,
-            mavlink.MAV_RESULT_UNSUPPORTED,
-            target_system=message.get_srcSystem(),
-            target_component=message.get_srcComponent(),
-        )
-
-    # ---------------------------------------------------------------------------------- events -> bytes
-    def drain(self) -> bytes:
-        """All bytes to be written since the last call."""
-        return self._outbox.drain()
-
+    # ---------------------------------------------------------------------------------- to the wire
     def send_setpoint(self, setpoint: SafeSetpoint, now_s: float) -> None:
         """SET_POSITION_TARGET_LOCAL_NED with velocity and yaw rate, the other fields 0.
 
@@ -325,6 +269,11 @@ class MavlinkCodec:
         if self._autopilot is not None:
             self._mav.param_request_read_send(self._autopilot[0], self._autopilot[1], name.encode(), -1)
 
+    def send_time_request(self, now_s: float) -> None:
+        """TIMESYNC: ask the autopilot for its time, about once a second."""
+        if self._autopilot is not None:
+            self._mav.timesync_send(0, self._clock.ask(now_s))
+
     def send_text(self, text: Text) -> None:
         """STATUSTEXT, in chunks of 50 characters where it is longer; the last one is known by not being full."""
         data = text.text.encode("ascii", "replace")
@@ -346,8 +295,11 @@ def _integer_in(value: float) -> int:
     return int.from_bytes(_FLOAT.pack(value), "little", signed=True)
 
 
-def _height(message: Any, time_s: float) -> list[LinkEvent]:
-    return [HeightReading(time_s, message.relative_alt / 1000)]
+def _global(message: Any, time_s: float) -> list[LinkEvent]:
+    height = HeightReading(time_s, message.relative_alt / 1000)
+    if not (message.lat or message.lon):  # not known yet: nobody flies there
+        return [height]
+    return [height, GlobalPosition(time_s, message.lat / 1e7, message.lon / 1e7, message.alt / 1000)]
 
 
 def _landed(message: Any, time_s: float) -> list[LinkEvent]:

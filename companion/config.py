@@ -6,12 +6,13 @@ depends on two keys is checked in `_cross_checks`.
 
 import dataclasses
 import difflib
+import json
 import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from companion.errors import ConfigError
 from mscf import PRESETS
@@ -20,6 +21,10 @@ from mscf.frame import MIN_BOX_PX  # of a first box
 FILE_NAME = "config.toml"
 SETPOINT_BITS = 650  # of one on a serial line: 65 bytes, each with a start and a stop bit
 MAX_LINE_SHARE = 0.25  # of a serial line for setpoints: a queue of 512 bytes is a tenth of a second old then
+FIRST_CAMERA = 100  # MAV_COMP_ID_CAMERA
+FIRST_USER_COMMAND = 31010  # MAV_CMD_USER_1
+STREAM_SCHEMES = ("rtsp", "udp", "tcp", "mpegts")
+MAX_URI = 160  # bytes of VIDEO_STREAM_INFORMATION.uri
 MIN_RANGE_M = 3.0  # to be held horizontally; as follow.nominal_range_m
 
 
@@ -84,7 +89,8 @@ class SelectConfig:
 class RcConfig:
     """The pilot's transmitter: an optional switch, and the sticks that end everything."""
 
-    switch_channel: int = setting(0, low=0, high=18)  # three positions: off, select centre, engage; 0: none
+    switch_channel: int = setting(0, low=0, high=18)  # 0: none
+    switch: str = setting("select", choices=("select", "engage"))  # off, select the middle, engage; or off, engage
     stick_guard_us: float = setting(120.0, low=40, high=400)  # deviation from 1500 us that means "mine"
     roll_channel: int = setting(1, low=1, high=18)
     pitch_channel: int = setting(2, low=1, high=18)
@@ -160,6 +166,55 @@ class ControlConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GroundConfig:
+    """The ground station: our camera component, which it sees, and what it may order."""
+
+    camera_component: int = setting(100, low=0, high=105)  # MAV_COMP_ID_CAMERA; 0: none
+    system_ids: tuple[int, ...] = setting((255,), low=1, high=255, count=(0, 1, 2, 3, 4))  # may select and engage
+    engage_command: int = setting(0, low=0, high=31014)  # MAV_CMD_USER_1 to _5: 31010..31014; 0: none
+    stream_uri: str = setting("")  # of the video that the operator sees; empty: none
+    stream_encoding: str = setting("h264", choices=("h264", "h265"))
+    plain_status: bool = setting(default=False)  # "coasting" told as "active", for QGroundControl before 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SigningConfig:
+    """MAVLink 2 signing: with a key, everything is signed and nothing unsigned is heard."""
+
+    key_file: str = setting("")  # empty: systemd's credential, if there is one; else no signing
+    link_id: int = setting(0, low=0, high=255)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GimbalConfig:
+    """A gimbal that carries the camera, by the gimbal protocol v2."""
+
+    axes: str = setting("none", choices=("none", "pitch", "pitch_yaw"))  # that we turn; none: a fixed camera
+    device_id: int = setting(0, low=0, high=255)  # as GIMBAL_MANAGER_SET_PITCHYAW names it; 0: all of the manager
+    rate_dps: float = setting(40.0, low=2, high=180)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LandingConfig:
+    """LANDING_TARGET for the autopilot's own precision landing, from a camera that looks down."""
+
+    send_target: bool = setting(default=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordConfig:
+    """The flight record: a folder a run."""
+
+    enabled: bool = setting(default=True)
+    folder: str = setting("")  # of all flights; empty: $STATE_DIRECTORY/flights, else below the user's state folder
+    video: str = setting("overlay", choices=("none", "plain", "overlay"))
+    video_frames_per_s: float = setting(10.0, low=1, high=60)
+    max_total_mb: float = setting(4096.0, low=16, high=1000000)  # of all flights; the oldest go first
+    max_age_days: float = setting(30.0, low=0.1, high=3650)
+    min_free_mb: float = setting(512.0, low=1, high=1000000)  # of the disk, below which nothing is written
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """A whole configuration."""
 
@@ -174,6 +229,11 @@ class Config:
     loss: LossConfig = field(default_factory=LossConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
+    signing: SigningConfig = field(default_factory=SigningConfig)
+    gimbal: GimbalConfig = field(default_factory=GimbalConfig)
+    landing: LandingConfig = field(default_factory=LandingConfig)
+    record: RecordConfig = field(default_factory=RecordConfig)
 
     @property
     def focal_px(self) -> float:
@@ -228,6 +288,19 @@ def parse(text: str) -> Config:
         if is_bad:
             raise ConfigError(text_of)
     return config
+
+
+def text_of(config: Config) -> str:
+    """The configuration as a TOML text with every key; `parse` reads it back as it is."""
+    lines = []
+    for table in dataclasses.fields(config):
+        section = getattr(config, table.name)
+        lines.append(f"[{table.name}]")
+        for key in dataclasses.fields(section):
+            value = getattr(section, key.name)
+            value = list(value) if isinstance(value, tuple) else value
+            lines.append(f"{key.name} = {json.dumps(value, ensure_ascii=False)}")  # TOML knows no surrogates
+    return "\n".join(lines) + "\n"
 
 
 def warnings(config: Config) -> tuple[str, ...]:
@@ -290,13 +363,16 @@ def _value(name: str, kind: Any, value: Any, rule: Any) -> Any:
     counts = " or ".join(str(count) for count in rule["count"])
     if not (isinstance(value, list) and len(value) in rule["count"] and all(map(_is_finite, value))):
         raise ConfigError(f"{name} = {value!r} must be a list of {counts} numbers")
-    return tuple(float(item) for item in value)
+    (item_kind, _) = get_args(kind)
+    return tuple(_number(f"{name}[{index}]", item_kind, item, rule) for index, item in enumerate(value))
 
 
 def _number(name: str, kind: Callable[[Any], Any], value: Any, rule: Any) -> Any:
     low, high = rule["low"], rule["high"]
-    is_right = _is_finite(value) and (kind is float or isinstance(value, int)) and low <= value <= high
-    if not is_right:
+    is_right = _is_finite(value) and (kind is float or isinstance(value, int))
+    if low is None and is_right:
+        return kind(value)
+    if not is_right or not low <= value <= high:
         word = "a whole number" if kind is int else "a number"
         raise ConfigError(f"{name} = {value!r} must be {word} in {low}..{high}")
     return kind(value)
@@ -306,6 +382,12 @@ def _is_finite(value: object) -> bool:
     if isinstance(value, int):  # TOML's may be too long for a float
         return not isinstance(value, bool) and abs(value) < 1 << 63
     return isinstance(value, float) and math.isfinite(value)
+
+
+def stream_scheme(uri: str) -> str:
+    """What stands before "://"; empty where there is none."""
+    scheme, mark, rest = uri.partition("://")
+    return scheme if mark and rest else ""
 
 
 def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
@@ -400,6 +482,42 @@ def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
             (
                 f"link.baud = {link.baud} is too slow for {config.loop.rate_hz:g} setpoints a second: give "
                 f"{needed_baud:.0f} or more, or lower loop.rate_hz"
+            ),
+        ),
+        (
+            0 < config.ground.camera_component < FIRST_CAMERA,
+            (
+                f"ground.camera_component = {config.ground.camera_component} must be 0 for none, or a camera's id in "
+                f"{FIRST_CAMERA}..105"
+            ),
+        ),
+        (
+            0 < config.ground.engage_command < FIRST_USER_COMMAND,
+            (
+                f"ground.engage_command = {config.ground.engage_command} must be 0 for none, or one of "
+                f"{FIRST_USER_COMMAND}..31014 (MAV_CMD_USER_1 to MAV_CMD_USER_5)"
+            ),
+        ),
+        (
+            config.ground.camera_component == link.component_id,
+            f"ground.camera_component and link.component_id are both {link.component_id}: give two different ids",
+        ),
+        (
+            bool(config.ground.stream_uri) and stream_scheme(config.ground.stream_uri) not in STREAM_SCHEMES,
+            (
+                f"ground.stream_uri = {config.ground.stream_uri!r} must begin with "
+                f"{', '.join(scheme + '://' for scheme in STREAM_SCHEMES)}"
+            ),
+        ),
+        (
+            len(config.ground.stream_uri.encode()) > MAX_URI,
+            f"ground.stream_uri is {len(config.ground.stream_uri.encode())} bytes long: MAVLink carries {MAX_URI}",
+        ),
+        (
+            config.landing.send_target and camera.mount_pitch_deg > -70 and config.gimbal.axes == "none",
+            (
+                f"landing.send_target needs a camera that looks down: camera.mount_pitch_deg = "
+                f"{camera.mount_pitch_deg:g} must be in -90..-70"
             ),
         ),
         (

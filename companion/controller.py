@@ -124,6 +124,7 @@ class _State:
     chosen_s: float = -math.inf  # when this selection was made
     awaiting_s: float = -math.inf  # since when a confirmation is awaited
     ready_until_s: float = -math.inf
+    is_switch_waiting: bool = False  # whether it is the transmitter's switch that made us READY
     leave_for: FlightMode = FlightMode.HOLD
     asked_s: float = -math.inf
     sticks: StickGuard = field(default_factory=StickGuard)
@@ -164,8 +165,11 @@ class Controller:
             self._change(left_s=self._state.sent_s)
         self._take_in(inputs.events, now_s)
         self._look(inputs.track, now_s)
-        for command in (*inputs.commands, *self._from_transmitter(inputs.events, now_s)):
+        for command in inputs.commands:
             self._obey(command, now_s)
+        for command in self._from_transmitter(inputs.events, now_s):
+            self._obey(command, now_s)
+            self._change(is_switch_waiting=self._state.mode is Mode.READY)
         for command in self._by_itself(now_s):
             self._obey(command, now_s)
         self._ladder(now_s)
@@ -415,8 +419,11 @@ class Controller:
         return switch.commands
 
     def _by_itself(self, now_s: float) -> tuple[OperatorCommand, ...]:
-        """Engage once a selection, where that is configured and nothing forbids it."""
+        """Engage where that is configured and nothing forbids it: once a selection, or by the switch that waits."""
         state = self._state
+        is_waiting = state.mode is Mode.READY and state.is_switch_waiting and state.switch.is_on
+        if self._config.rc.switch == "engage" and is_waiting and self._is_external():
+            return () if self._refusals(now_s) else (Engage(),)  # the pilot has done both: the switch, then OFFBOARD
         if not self._config.engage.auto or state.auto_done or state.mode is not Mode.TRACKING:
             return ()
         if not state.has_seen_other:  # this process began while the vehicle obeyed: nobody has selected that mode since
@@ -426,8 +433,8 @@ class Controller:
     def _obey(self, command: OperatorCommand, now_s: float) -> None:
         state = self._state
         match command:
-            case Select(box=box):
-                self._select(box, now_s)
+            case Select():
+                self._select(command, now_s)
             case Deselect():
                 self._change(selection=Selection(state.selection.number + 1, None), sample=None, target=None)
                 if state.mode.is_engaged:
@@ -444,8 +451,8 @@ class Controller:
             case _:
                 assert_never(command)
 
-    def _select(self, box: Box | None, now_s: float) -> None:
-        state = self._state
+    def _select(self, command: Select, now_s: float) -> None:
+        state, box = self._state, command.box
         if box is None:
             size_hw = state.size_hw
             if size_hw is None:
@@ -457,7 +464,7 @@ class Controller:
             self._say(Severity.WARNING, "Select refused: not a box")
             return
         self._change(
-            selection=Selection(state.selection.number + 1, box),
+            selection=Selection(state.selection.number + 1, box, command.is_point),
             sample=None,
             measured_s=-math.inf,
             target=None,

@@ -11,6 +11,8 @@ from companion.codec import ATTITUDE_HZ, MavlinkCodec
 from companion.config import Config
 from companion.controller import Controller, ControlOutput
 from companion.engagement import Reason
+from companion.ground_command import GroundCommands
+from companion.modes import Mode
 from companion.parameters import WANTED, advice
 from companion.safety import stop
 from companion.types import (
@@ -32,6 +34,7 @@ from companion.types import (
     TrackSample,
 )
 from companion.vehicle_state import VehicleState
+from companion.wire import Wire
 from mscf import Box
 
 HEARTBEAT_EVERY_S = 1.0
@@ -41,17 +44,31 @@ MIN_RATE_SHARE = 0.6  # of a rate that was asked for; below, it is asked for aga
 TEXT_EVERY_S = 1.0  # of what is no change of state
 PARAMETER_EVERY_S = 2.0  # a parameter that does not come is asked for again, so often:
 PARAMETER_TRIES = 5
+_TOLD = {
+    Mode.IDLE: Text(Severity.INFO, "No target selected"),
+    Mode.TRACKING: Text(Severity.INFO, "Target tracked"),
+    Mode.LOST: Text(Severity.NOTICE, "Target not seen"),
+    Mode.FOLLOWING: Text(Severity.NOTICE, "Target seen again: following"),
+    Mode.SEARCHING: Text(Severity.NOTICE, "Target lost: looking around"),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
     """What one step of the loop did."""
 
-    data: bytes  # for the port
+    inputs: ControlInput
     control: ControlOutput
     vehicle: VehicleState
+    received: tuple[bytes, ...]  # messages that have come
+    sent: tuple[bytes, ...]  # messages for the port
     texts: tuple[Text, ...]  # for the log: what the operator is told
     autopilot_texts: tuple[AutopilotText, ...]  # for the log: what the autopilot said
+
+    @property
+    def data(self) -> bytes:
+        """For the port."""
+        return b"".join(self.sent)
 
 
 class Follower:
@@ -65,7 +82,10 @@ class Follower:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._controller = Controller(config)
-        self._codec = MavlinkCodec(config.link.system_id, config.link.component_id, config.link.setpoint_frame)
+        link = config.link
+        self._wire = Wire(link.system_id or 1)
+        self._codec = MavlinkCodec(self._wire, link.system_id, link.component_id, link.setpoint_frame)
+        self._ground = GroundCommands(self._wire.sender(link.component_id), config.ground)
         self._heartbeat_s = -math.inf
         self._rates_s = math.inf  # when they were asked for; not before an autopilot is there
         self._attitudes = 0  # since then
@@ -78,6 +98,7 @@ class Follower:
         self._queue: deque[Text] = deque(maxlen=16)  # texts that can wait
         self._queued_s = -math.inf
         self._has_started = False
+        self._mode = Mode.IDLE
 
     def step(
         self,
@@ -88,6 +109,7 @@ class Follower:
         *,
         is_healthy: bool = True,
         is_sent: bool = True,
+        notices: tuple[Text, ...] = (),
     ) -> Step:
         """One period of the command loop.
 
@@ -98,16 +120,22 @@ class Follower:
         commands : of the operator, since the last step.
         is_healthy : whether camera and tracker work; the heartbeat says so.
         is_sent : whether the port has taken the last step's bytes.
+        notices : what else the operator is to be told.
         """
-        events = tuple(self._codec.receive(data, now_s))
-        commands = (*self._at_start(track), *commands)
-        output = self._controller.step(ControlInput(now_s, track, events, commands, is_sent))
+        messages = self._wire.receive(data)
+        events = tuple(self._codec.receive(messages, now_s))
+        commands = (*self._at_start(track), *commands, *self._ground.receive(messages, now_s))
+        inputs = ControlInput(now_s, track, events, commands, is_sent)
+        output = self._controller.step(inputs)
+        self._ground.after(output.mode)
         # the request first: after a gap a stream alone would bring PX4 back to OFFBOARD
         if output.request is not None:
             self._codec.send_mode_request(output.request)
         if output.setpoint is not None:
             self._codec.send_setpoint(output.setpoint, now_s)
         self._keep_up(events, now_s)
+        self._tell(output)
+        self._queue.extend(notices)
         texts = (*output.texts, *self._due_text(now_s))
         for text in texts:
             self._codec.send_text(text)
@@ -115,7 +143,8 @@ class Follower:
             self._heartbeat_s = now_s
             self._codec.send_heartbeat(is_active=output.mode.is_engaged, is_healthy=is_healthy)
         said = tuple(event for event in events if isinstance(event, AutopilotText))
-        return Step(self._codec.drain(), output, self._controller.vehicle, texts, said)
+        received = tuple(bytes(message.get_msgbuf()) for message in messages)
+        return Step(inputs, output, self._controller.vehicle, received, self._wire.drain(), texts, said)
 
     def farewell(self, now_s: float) -> bytes:
         """What to write when the process is asked to end: zero velocity three times, and the request to hold.
@@ -130,7 +159,18 @@ class Follower:
         if request is not None:
             self._codec.send_mode_request(request)
             self._codec.send_text(Text(Severity.WARNING, f"Follow ended: {Reason.SHUTDOWN.value}"))
-        return self._codec.drain()
+        return b"".join(self._wire.drain())
+
+    def _tell(self, output: ControlOutput) -> None:
+        """A change of mode that the controller has not spoken of; of several within a second, the last one."""
+        if output.mode is self._mode:
+            return
+        self._mode = output.mode
+        for word in _TOLD.values():
+            while word in self._queue:
+                self._queue.remove(word)
+        if output.mode in _TOLD and not output.texts:
+            self._queue.append(_TOLD[output.mode])
 
     def _at_start(self, track: TrackSample | None) -> tuple[OperatorCommand, ...]:
         """The configured selection, with the first frame."""

@@ -39,7 +39,7 @@ class _Position(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RcSwitch:
-    """A switch of three positions: off, select the centre, engage. Only its movements are orders.
+    """A switch, of three positions (off, select the middle, engage) or two. Only its movements are orders.
 
     Where it rests when the application starts means nothing: after a restart nobody has engaged.
     """
@@ -62,14 +62,21 @@ class RcSwitch:
             return RcSwitch(self.position, seen, now_s)
         if now_s - self.since_s < SWITCH_HOLD_S - _ROUNDING_S:
             return RcSwitch(self.position, seen, self.since_s)
-        return RcSwitch(seen, commands=_orders(self.position, seen))
+        return RcSwitch(seen, commands=_orders(self.position, seen, config))
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it rests where it engages."""
+        return self.position is _Position.ENGAGE
 
 
-def _orders(before: _Position | None, now: _Position) -> tuple[OperatorCommand, ...]:
+def _orders(before: _Position | None, now: _Position, config: RcConfig) -> tuple[OperatorCommand, ...]:
     if before is None:
         return ()
     if now is _Position.ENGAGE:
         return (Engage(),)
+    if config.switch == "engage":  # the target is selected elsewhere, and stays
+        return (Disengage(),) if before is _Position.ENGAGE else ()
     if now is _Position.OFF:
         return (Disengage(), Deselect())
     return (Disengage(),) if before is _Position.ENGAGE else (Select(None),)

@@ -29,6 +29,7 @@ class Selection:
 
     number: int
     box: Box | None  # in pixels of the frame; None: nothing
+    is_point: bool = False  # whether the box only surrounds a point, and is to be grown around what is there
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,16 @@ class HeightReading:
 
 
 @dataclass(frozen=True, slots=True)
+class GlobalPosition:
+    """Where the vehicle is on the globe; altitude above mean sea level."""
+
+    time_s: float
+    lat_deg: float
+    lon_deg: float
+    amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class LandedReading:
     """Whether the vehicle flies."""
 
@@ -205,6 +216,7 @@ LinkEvent = (
     | Attitude
     | LocalState
     | HeightReading
+    | GlobalPosition
     | LandedReading
     | RangeReading
     | RcChannels
@@ -220,9 +232,14 @@ LinkEvent = (
 # ------------------------------------------------------------------------------------- operator -> the loop
 @dataclass(frozen=True, slots=True)
 class Select:
-    """Track what is in this box, px of the frame; None: a box in the middle of the frame."""
+    """Track what is in this box, px of the frame; None: a box in the middle of the frame.
+
+    `is_point`: the box surrounds the point that was meant, as far as it could have been missed; what is there tells the
+    size.
+    """
 
     box: Box | None
+    is_point: bool = False
 
 
 @dataclass(frozen=True, slots=True)

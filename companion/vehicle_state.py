@@ -7,6 +7,7 @@ from companion.types import (
     Attitude,
     Battery,
     Direction,
+    GlobalPosition,
     Heartbeat,
     HeightReading,
     Landed,
@@ -28,6 +29,17 @@ MAX_JUMP_M = 2.0  # of a position, beyond what velocity explains
 MAX_ACCELERATION_MPS2 = 10.0  # by which velocity may have changed in between
 
 
+# fields that the last reading of a kind replaces, whatever its time
+_NEWEST: dict[type, str] = {
+    Heartbeat: "heartbeat",
+    HeightReading: "height",
+    GlobalPosition: "place",
+    LandedReading: "landed",
+    RcChannels: "rc",
+    Battery: "battery",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleState:
     """Newest readings, None where there is none; parameters by name."""
@@ -36,6 +48,7 @@ class VehicleState:
     attitude: Attitude | None = None
     local: LocalState | None = None
     height: HeightReading | None = None
+    place: GlobalPosition | None = None
     landed: LandedReading | None = None
     forward_range: RangeReading | None = None
     down_range: RangeReading | None = None
@@ -46,32 +59,22 @@ class VehicleState:
     def after(self, event: LinkEvent) -> "VehicleState":
         """State with an event taken in."""
         match event:
-            case Heartbeat():
-                return replace(self, heartbeat=event)
             case Attitude():  # on a link that swaps messages the newer one stays
                 is_newer = self.attitude is None or event.time_s >= self.attitude.time_s
                 return replace(self, attitude=event) if is_newer else self
             case LocalState():
                 is_newer = self.local is None or event.time_s >= self.local.time_s
                 return replace(self, local=event) if is_newer else self
-            case HeightReading():
-                return replace(self, height=event)
-            case LandedReading():
-                return replace(self, landed=event)
-            case RangeReading(direction=Direction.FORWARD):
-                return replace(self, forward_range=event)
             case RangeReading():
-                return replace(self, down_range=event)
-            case RcChannels():
-                return replace(self, rc=event)
-            case Battery():
-                return replace(self, battery=event)
+                is_forward = event.direction is Direction.FORWARD
+                return replace(self, forward_range=event) if is_forward else replace(self, down_range=event)
             case Parameter():
                 return replace(self, parameters={**self.parameters, event.name: event.value})
             case Rebooted():
                 return VehicleState(parameters=self.parameters)
             case _:
-                return self
+                name = _NEWEST.get(type(event))
+                return replace(self, **{name: event}) if name is not None else self  # type: ignore[arg-type]
 
     def is_alive(self, now_s: float) -> bool:
         """Whether a heartbeat came within the last 3 s."""

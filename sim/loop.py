@@ -67,6 +67,7 @@ class Loop:
     mode : of the autopilot at the start; None: as it flies without orders.
     gain : brightness of the picture at a time.
     watcher : is shown every moment with the newest frame.
+    recorder : is given every step of the application.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class Loop:
         parameters: dict[str, float] | None = None,
         gain: Callable[[float], float] = lambda _: 1.0,
         watcher: Watcher | None = None,
+        recorder: Callable[[Step], None] | None = None,
     ) -> None:
         self.stage = stage
         self.personality = personality
@@ -108,6 +110,7 @@ class Loop:
         self._wait_s = wait_s
         self._gain = gain
         self._watcher = watcher
+        self._recorder = recorder
         self._tick = 0
         self._seq = 0
         self._under_way: deque[tuple[float, Sight]] = deque()  # samples and when they arrive
@@ -188,6 +191,8 @@ class Loop:
         commands, self.commands = tuple(self.commands), []
         step = self.follower.step(OUR_CLOCK_S + now_s, data, sample, commands)
         self.step = step
+        if self._recorder is not None:
+            self._recorder(step)
         self._selection = step.control.selection
         self._expected = step.control.expected
         if not self.faults.is_link_cut:

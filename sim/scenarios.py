@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.config import Config, parse
+from companion.follower import Step
 from companion.modes import Mode
 from companion.types import Disengage, Engage, OperatorCommand, Select
 from sim.ardupilot import ArduCopter
@@ -543,6 +544,7 @@ def fly(
     *,
     seed: int = 0,
     watcher: Watcher | None = None,
+    recorder: Callable[[Step], None] | None = None,
 ) -> tuple[Trace, tuple[Verdict, ...]]:
     """Fly a scenario in virtual time, and judge it.
 
@@ -551,6 +553,7 @@ def fly(
     autopilot : a key of `AUTOPILOTS`.
     eyes_of : makes what the application sees with, for a stage.
     watcher : is shown every moment with the newest frame.
+    recorder : is given every step of the application.
     """
     place = stage(scenario.stage, 7 + seed)
     loop = Loop(
@@ -564,6 +567,7 @@ def fly(
         mode="GUIDED" if autopilot == "ardupilot" else None,
         gain=scenario.gain,
         watcher=watcher,
+        recorder=recorder,
     )
     loop.run(scenario.duration_s, Operator(scenario).act)
     trace = Trace(tuple(loop.moments))

@@ -4,7 +4,7 @@ import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
@@ -115,13 +115,21 @@ def test_a_list_has_as_many_finite_numbers_as_its_rule_says(table: str, field: A
     for count in range(max(counts) + 2):
         if count in counts:
             taken = getattr(_section(table, SECTIONS[table], {field.name: [1] * count}), field.name)
-            assert taken == (1.0,) * count
-            assert all(type(item) is float for item in taken)
+            (kind, _) = get_args(get_type_hints(SECTIONS[table])[field.name])
+            assert taken == (kind(1),) * count
+            assert all(type(item) is kind for item in taken)
         else:
             assert "must be a list of" in refusal(written({table: {field.name: [1] * count}}))
     for item in (math.nan, math.inf, 10**400, "1", True):
         with pytest.raises(ConfigError, match="must be a list of"):
             _section(table, SECTIONS[table], {field.name: [1, 1, 1, item]})
+
+
+def test_the_items_of_a_list_are_in_its_range() -> None:
+    assert parse(written({"ground": {"system_ids": [1, 255]}})).ground.system_ids == (1, 255)
+    for item in (0, 256, 1.0):
+        said = refusal(written({"ground": {"system_ids": [255, item]}}))
+        assert said == f"ground.system_ids[1] = {item!r} must be a whole number in 1..255"
 
 
 # ------------------------------------------------------------------------------------------- names
@@ -169,6 +177,15 @@ CONTRADICTIONS: list[tuple[dict[str, dict[str, object]], str]] = [
         {"link": {"device": "/dev/serial0", "baud": 9600}},
         "link.baud = 9600 is too slow for 20 setpoints a second: give 52000 or more, or lower loop.rate_hz",
     ),
+    ({"ground": {"camera_component": 99}}, "must be 0 for none, or a camera's id in 100..105"),
+    ({"ground": {"engage_command": 31000}}, "must be 0 for none, or one of 31010..31014"),
+    ({"link": {"component_id": 101}, "ground": {"camera_component": 101}}, "are both 101: give two different ids"),
+    ({"ground": {"stream_uri": "http://10.0.0.1/"}}, "must begin with rtsp://, udp://, tcp://, mpegts://"),
+    ({"ground": {"stream_uri": "rtsp://" + "x" * 154}}, "is 161 bytes long: MAVLink carries 160"),
+    (
+        {"landing": {"send_target": True}, "camera": {"mount_pitch_deg": -60}},
+        "landing.send_target needs a camera that looks down: camera.mount_pitch_deg = -60 must be in -90..-70",
+    ),
     ({"rc": {"switch_channel": 4}}, "must be four different channels"),
 ]
 
@@ -205,6 +222,10 @@ def test_two_values_that_contradict_each_other_are_refused_by_the_check_for_them
         {"loss": {"search_after_s": 0.7}},
         {"limits": {"yaw_rate_dps": 15}},
         {"rc": {"switch_channel": 5}},
+        {"ground": {"camera_component": 0, "engage_command": 31014}},
+        {"ground": {"camera_component": 105, "stream_uri": "rtsp://" + "x" * 153}},
+        {"follow": {"mode": "overhead"}, "landing": {"send_target": True}, "camera": {"mount_pitch_deg": -70}},
+        {"landing": {"send_target": True}, "gimbal": {"axes": "pitch"}},
     ],
 )
 def test_values_that_just_agree_are_taken(values: dict[str, dict[str, object]]) -> None:
@@ -300,7 +321,7 @@ def test_an_example_has_every_key_in_order_with_its_range_and_default(path: Path
         for word in rule["choices"]:
             assert f'"{word}"' in comment, field.name
         default = {True: "true", False: "false"}.get(field.default) if isinstance(field.default, bool) else None
-        default = default or ("[]" if rule["count"] else None)
+        default = default or (str(list(field.default)) if rule["count"] else None)
         default = default or (f"{field.default:g}" if type(field.default) is float else str(field.default))
         assert re.search(rf"Left out: ([^:.]*\W)?{re.escape(default)}(?!\.?\d)", comment), field.name
 
