@@ -487,6 +487,7 @@ class Controller:
         elif against == (Reason.WRONG_MODE,) and self._is_px4() and state.mode is Mode.TRACKING:
             # PX4 takes OFFBOARD only while setpoints flow: let zero ones flow until the pilot has selected it
             self._change(ready_until_s=now_s + READY_FOR_S, leave_for=FlightMode.HOLD, asked_s=-math.inf)
+            self._change(is_switch_waiting=False)  # until it is known to be the switch that ordered it
             self._event(Event.PREPARE)
             self._say(Severity.NOTICE, "Ready: select OFFBOARD, then engage")
         elif set(against) == {Reason.WRONG_MODE, Reason.RESUME_GUARD} and state.guard.heard is FlightMode.HOLD:

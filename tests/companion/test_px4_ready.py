@@ -246,3 +246,72 @@ def test_a_mode_left_while_our_stream_ran_leaves_no_guard() -> None:
     cockpit.run(0.5)
     cockpit.step(Engage())
     assert cockpit.mode is Mode.READY
+
+
+# ------------------------------------------------------------------------------- the switch that waits for OFFBOARD
+SWITCHED = FOLLOW + '[rc]\nswitch_channel=5\nswitch="engage"\n'
+
+
+def switched(config: str = SWITCHED) -> Cockpit:
+    """READY by the transmitter's switch, in Hold."""
+    cockpit = Cockpit(config, Autopilot.PX4)
+    cockpit.heartbeat = replace(cockpit.heartbeat, is_armed=False)
+    cockpit.fly(FlightMode.HOLD)
+    turn(cockpit, 1100)
+    cockpit.heartbeat = replace(cockpit.heartbeat, is_armed=True)
+    cockpit.track()
+    turn(cockpit, 1900)
+    assert cockpit.mode is Mode.READY
+    return cockpit
+
+
+def turn(cockpit: Cockpit, us: int) -> None:
+    cockpit.pwm_us = (*cockpit.pwm_us[:4], us)
+    cockpit.run(0.5)
+
+
+def test_the_switch_and_then_offboard_follow() -> None:
+    cockpit = switched()
+    assert PREPARED in cockpit.texts
+    cockpit.run(2.0)
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(0.25)
+    assert cockpit.mode is Mode.FOLLOWING
+
+
+def test_offboard_after_the_switch_was_taken_back_follows_nothing() -> None:
+    cockpit = switched()
+    turn(cockpit, 1100)
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(2.0)
+    assert not cockpit.mode.is_engaged
+
+
+def test_a_switch_that_was_on_before_does_not_engage_what_somebody_else_has_prepared() -> None:
+    cockpit = switched()
+    cockpit.run(READY_FOR_S + 1)
+    assert cockpit.mode is Mode.TRACKING
+    cockpit.step(Engage())
+    assert cockpit.mode is Mode.READY
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(2.0)
+    assert cockpit.mode is Mode.READY
+
+
+def test_a_switch_of_three_positions_engages_twice_as_every_other_order() -> None:
+    cockpit = switched(FOLLOW + "[rc]\nswitch_channel=5\n")
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(2.0)
+    assert cockpit.mode is Mode.READY
+
+
+def test_after_the_pilot_has_taken_over_the_resting_switch_engages_no_more() -> None:
+    cockpit = switched()
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(0.5)
+    cockpit.fly(FlightMode.PILOT)
+    cockpit.run(0.5)
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(5.0)
+    assert cockpit.mode is Mode.TRACKING
+    assert sent(cockpit.outputs[-1]) is None

@@ -185,3 +185,26 @@ def test_without_a_receiver_there_are_no_orders() -> None:
     config = RcConfig(switch_channel=5)
     switch = RcSwitch().after(None, config, 0.0).after(None, config, 1.0)
     assert (switch.position, switch.commands) == (None, ())
+
+
+# ------------------------------------------------------------------------------- a switch that only engages
+@pytest.mark.parametrize(
+    ("before", "after", "commands"),
+    [
+        (OFF, MIDDLE, []),
+        (OFF, ON, [Engage()]),
+        (MIDDLE, ON, [Engage()]),
+        (ON, MIDDLE, [Disengage()]),
+        (ON, OFF, [Disengage()]),
+        (MIDDLE, OFF, []),
+    ],
+)
+def test_a_switch_that_only_engages_leaves_the_target_to_the_ground_station(
+    before: int, after: int, commands: list[OperatorCommand]
+) -> None:
+    switch, given, config = RcSwitch(), [], RcConfig(switch_channel=5, switch="engage")
+    for time_s, us in held(before, 0, 1) + held(after, 1, 3):
+        switch = switch.after(RcChannels(time_s, (*CENTRED[:4], us)), config, time_s)
+        given += switch.commands
+    assert given == commands
+    assert switch.is_on is (after == ON)
