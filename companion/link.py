@@ -32,6 +32,8 @@ _READ_SIZE = 65536
 _MOST_PACKETS = 1000  # at a read: empty ones never fill it
 _FLUSH_WAIT_S = 0.005
 _HEADER, _CHECKSUM, _SIGNATURE, _IS_SIGNED = 10, 2, 13, 1  # of a MAVLink 2 message
+_HEADER_V1 = 6
+_MARKERS = b"\xfe\xfd"  # of MAVLink 1 and 2
 _SCHEMES = ("udpin", "udpout", "tcp", "tcpin")
 
 
@@ -61,7 +63,7 @@ class _UdpServer:
     def read(self, now_s: float) -> bytes:
         data = b""
         for packet, peer in _packets(self._socket):
-            data += packet
+            data += _whole(packet)
             self._peers.pop(peer, None)  # the last one is the latest to have spoken
             self._peers[peer] = now_s
             if len(self._peers) > MAX_PEERS:
@@ -257,6 +259,30 @@ def open_port(device: str, baud: int) -> Port:
         raise LinkLostError(f"{device} cannot be opened: {error}") from error
     except OSError as error:
         raise LinkLostError(f"{device} cannot be opened: {error.strerror or error}") from error
+
+
+def _whole(datagram: bytes) -> bytes:
+    """The messages that are whole in a datagram.
+
+    What a stranger has cut off, by mistake or not, would swallow the beginning of the next one's.
+    """
+    messages, start = b"", 0
+    while start < len(datagram):
+        size = _size(datagram[start : start + _HEADER])
+        if start + size > len(datagram):
+            break
+        messages += datagram[start : start + size] if datagram[start] in _MARKERS else b""
+        start += size
+    return messages
+
+
+def _size(header: bytes) -> int:
+    """Of the message that begins so, of either version: an old autopilot begins with the first. 1 where none does."""
+    if header[0] not in _MARKERS:
+        return 1
+    if header[0] == _MARKERS[1]:
+        return _HEADER if len(header) < _HEADER else _length(header, 0)
+    return _HEADER_V1 + _CHECKSUM + (header[1] if len(header) > 1 else 0)
 
 
 def _length(data: bytes, start: int) -> int:

@@ -51,22 +51,56 @@ def test_other_words_are_refused_with_the_mend(device: str) -> None:
         check_device(device)
 
 
+HELLO = bytes([0xFD, 3, 0, 0, 0, 1, 1, 0, 0, 0]) + b"abc" + b"xx"  # shaped as a MAVLink 2 message
+
+
 def test_udpin_answers_who_has_spoken(udp_peer: socket.socket) -> None:
     number = free_port(socket.SOCK_DGRAM)
     port = open_port(f"udpin:127.0.0.1:{number}", 0)
     assert port.read(0.0) == b""
     port.write(b"nobody hears this")
-    udp_peer.sendto(b"hello", ("127.0.0.1", number))
-    assert until(lambda: port.read(1.0), 5) == b"hello"
+    udp_peer.sendto(HELLO, ("127.0.0.1", number))
+    assert until(lambda: port.read(1.0), 5) == HELLO
     port.write(b"setpoint")
     assert udp_peer.recv(100) == b"setpoint"
+    port.close()
+
+
+V1 = bytes.fromhex("fe 02 00 01 01 00 aa bb cc dd")
+SIGNED = bytes([0xFD, 1, 1, 0, 0, 1, 1, 0, 0, 0]) + bytes(1 + 2 + 13)
+
+
+@pytest.mark.parametrize(
+    ("datagram", "kept"),
+    [
+        (HELLO + HELLO, HELLO + HELLO),
+        (HELLO + HELLO[:-1], HELLO),
+        (HELLO + HELLO[:9], HELLO),
+        (b"\xfd", b""),
+        (b"\xfe", b""),
+        (b"noise" + HELLO, HELLO),
+        (V1 + HELLO + V1[:-1], V1 + HELLO),
+        (SIGNED + HELLO, SIGNED + HELLO),
+        (b"", b""),
+    ],
+)
+def test_of_a_datagram_only_whole_messages_are_read(udp_peer: socket.socket, datagram: bytes, kept: bytes) -> None:
+    """Else the next datagram, of whomever, would be taken for the rest."""
+    number = free_port(socket.SOCK_DGRAM)
+    port = open_port(f"udpin:127.0.0.1:{number}", 0)
+    udp_peer.sendto(datagram, ("127.0.0.1", number))
+    udp_peer.sendto(HELLO, ("127.0.0.1", number))
+    data = b""
+    while len(data) < len(kept + HELLO):
+        data += until(lambda: port.read(0.0), 5)
+    assert data == kept + HELLO
     port.close()
 
 
 def test_udpin_forgets_a_peer_that_fell_silent(udp_peer: socket.socket) -> None:
     number = free_port(socket.SOCK_DGRAM)
     port = open_port(f"udpin:127.0.0.1:{number}", 0)
-    udp_peer.sendto(b"hello", ("127.0.0.1", number))
+    udp_peer.sendto(HELLO, ("127.0.0.1", number))
     until(lambda: port.read(1.0), 5)
     port.read(1.0 + PEER_TIMEOUT_S)
     port.write(b"late")
@@ -267,7 +301,7 @@ def test_one_peer_that_cannot_be_reached_does_not_keep_the_others_from_hearing(u
     number = free_port(socket.SOCK_DGRAM)
     link = Link(f"udpin:127.0.0.1:{number}", 0)
     link.read(0.0)
-    udp_peer.sendto(b"hello", ("127.0.0.1", number))
+    udp_peer.sendto(HELLO, ("127.0.0.1", number))
     until(lambda: link.read(1.0), 5)
     peers = link._port._peers  # type: ignore[union-attr]
     link._port._peers = {("255.255.255.255", 9): 1.0, **peers}  # type: ignore[union-attr]  # EACCES, like ENETUNREACH
