@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from companion.point_selection import box_around
 from companion.types import Frame, Selection, TrackSample
-from mscf import Box, Expected, LongTermTracker, MscfError, TrackerConfig
+from mscf import Expected, LongTermTracker, MscfError, TrackerConfig
 
 if TYPE_CHECKING:
     from mscf.arrays import Image
@@ -48,7 +49,7 @@ class Vision:
         try:
             if selection.number != self._selection:
                 self._selection = selection.number
-                self._start(frame, selection.box)
+                self._start(frame, selection)
             if self._tracker is None:
                 return replace(nothing, fault=self._fault)
             result = self._tracker.update(frame.image, frame.captured_s, expected)
@@ -67,11 +68,15 @@ class Vision:
             fault=FROZEN if is_frozen else "",
         )
 
-    def _start(self, frame: Frame, box: Box | None) -> None:
+    def _start(self, frame: Frame, selection: Selection) -> None:
         """Begin anew."""
-        self._tracker, self._fault = None, ""
+        self._tracker, self._fault, box = None, "", selection.box
         if box is None:
             return
+        if selection.is_point and box.is_finite:
+            # a box counts areas, a point the middles of pixels
+            u, v = box.center_xy
+            box = box_around(frame.image, (u - 0.5, v - 0.5), box.w / 2)
         tracker = LongTermTracker(self._config)
         tracker.init(frame.image, box)
         self._tracker = tracker

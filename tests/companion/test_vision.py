@@ -1,5 +1,7 @@
 """Vision: a selection takes effect on the next frame, and whatever the tracker does is a sample, not an exception."""
 
+import math
+
 import numpy as np
 import pytest
 from mover import FIRST, moving_target
@@ -49,6 +51,22 @@ def test_another_selection_begins_anew() -> None:
     sample = vision.see(frame(2), Selection(2, other), None)
     assert sample.box is not None
     assert sample.box.iou(other) > 0.5
+
+
+def test_of_a_point_the_box_is_grown_on_the_frame_that_it_takes_effect_on() -> None:
+    """The picture of a bright car on dull ground, clicked beside its middle: no box of that size was given."""
+    image = np.random.default_rng(5).integers(90, 110, (240, 320, 3), np.uint8)
+    image[100:124, 140:190] = (40, 60, 230)
+    sample = Vision().see(Frame(image, 0, 1.0), Selection(1, Box(158 - 16, 109 - 16, 32, 32), is_point=True), None)
+    assert (sample.selection, sample.fault) == (1, "")
+    assert sample.box is not None
+    assert sample.box.iou(Box(140, 100, 50, 24)) > 0.8
+
+
+@pytest.mark.parametrize("at", [math.nan, math.inf, -1e9])
+def test_a_point_that_is_nowhere_is_no_exception(at: float) -> None:
+    sample = Vision().see(frame(0), Selection(1, Box(at, 10, 20, 20), is_point=True), None)
+    assert sample.selection == 1
 
 
 @pytest.mark.parametrize("box", [Box(500, 500, 20, 20), Box(0, 0, 0, 0), Box(float("nan"), 0, 20, 20)])
