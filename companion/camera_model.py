@@ -6,7 +6,7 @@ pitch -> azimuth and depression; with the yaw, earth bearing. All rotations are 
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -17,6 +17,7 @@ from companion.types import Attitude
 from mscf.arrays import Real64
 
 HISTORY_S = 2.0  # longer than any frame is useful
+_VERTICAL = 1e-4  # cosine of a pitch at which roll and yaw are one
 _MAX_GAP_S = 0.3  # between two attitudes, over which nothing is interpolated, and beyond the last one
 
 
@@ -37,9 +38,18 @@ def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Real64:
     )
 
 
+def angles(frame_from_body: Real64) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a rotation (3, 3), the inverse of `rotation`; straight up or down the roll counts as 0."""
+    pitch_rad = math.asin(min(max(-float(frame_from_body[2, 0]), -1.0), 1.0))
+    if math.hypot(frame_from_body[2, 1], frame_from_body[2, 2]) < _VERTICAL:
+        return 0.0, pitch_rad, math.atan2(-frame_from_body[0, 1], frame_from_body[1, 1])
+    roll_rad = math.atan2(frame_from_body[2, 1], frame_from_body[2, 2])
+    return roll_rad, pitch_rad, math.atan2(frame_from_body[1, 0], frame_from_body[0, 0])
+
+
 @dataclass(frozen=True)
 class CameraModel:
-    """Pinhole camera with OpenCV's distortion, fixed to the vehicle.
+    """Pinhole camera with OpenCV's distortion, fixed to the vehicle; on a gimbal, as it is mounted at one moment.
 
     size_hw : of a frame, px. focal_px : the same for both axes; the principal point is the frame's middle.
     mount_rpy_rad : of the camera in the body, FRD; pitch -90 degrees looks straight down.
@@ -57,6 +67,10 @@ class CameraModel:
         mount = tuple(math.radians(a) for a in (camera.mount_roll_deg, camera.mount_pitch_deg, camera.mount_yaw_deg))
         scale = size_hw[1] / camera.width_px
         return cls(size_hw, config.focal_px * scale, camera.distortion, (mount[0], mount[1], mount[2]))
+
+    def mounted(self, rpy_rad: tuple[float, float, float]) -> "CameraModel":
+        """The same camera, mounted otherwise."""
+        return replace(self, mount_rpy_rad=rpy_rad)
 
     @cached_property
     def _body_from_camera(self) -> Real64:

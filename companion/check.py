@@ -1,6 +1,7 @@
 """`mscf-companion check`: what the configuration, the camera and the autopilot are like, before anything flies."""
 
 import math
+import os
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -15,12 +16,14 @@ from companion.controller import Controller
 from companion.errors import CompanionError
 from companion.link import Link
 from companion.parameters import WANTED, advice
+from companion.signing import Signing, read_key, stamp_at
 from companion.types import (
     Attitude,
     Autopilot,
     ControlInput,
     Engage,
     FlightMode,
+    GimbalAttitude,
     Heartbeat,
     HeightReading,
     Landed,
@@ -101,7 +104,9 @@ class _Heard:
 def check_link(config: Config, out: TextIO) -> bool:
     """Listen for the autopilot, ask for its telemetry and the parameters that matter, and say what to change."""
     link = Link(config.link.device, config.link.baud)
-    wire = Wire(config.link.system_id or 1)
+    key = read_key(config.signing, os.environ)
+    signing = Signing(key, config.signing.link_id, stamp_at(time.time())) if key is not None else None
+    wire = Wire(config.link.system_id or 1, signing)
     codec = MavlinkCodec(wire, config.link.system_id, config.link.component_id)
     heard, counts, parameters = _Heard(), Counter[str](), dict[str, float]()
     begin_s = time.monotonic()
@@ -134,8 +139,10 @@ def check_link(config: Config, out: TextIO) -> bool:
         print(f"link      FAILED: {link.fault}", file=out)
         return False
     if heard.heartbeat is None:
+        signed = " that signs with our key" if key is not None else ""
         print(
-            f"link      FAILED: {config.link.device} is open, but no autopilot was heard in {LINK_WAIT_S:g} s", file=out
+            f"link      FAILED: {config.link.device} is open, but no autopilot{signed} was heard in {LINK_WAIT_S:g} s",
+            file=out,
         )
         return False
     _print_autopilot(heard.heartbeat, counts, parameters, out)
@@ -212,6 +219,8 @@ def _response(config: Config, box: Box, scale: float) -> tuple[float, float, flo
         _SETTLE_STEPS - 2: (Engage(),),
     }
     setpoint = None
+    has_gimbal = config.gimbal.axes != "none"  # which then points as the mount's angles say
+    mount_rpy_rad = CameraModel.of(config, size_hw).mount_rpy_rad
     for index in range(_SETTLE_STEPS + 8):
         now_s = 100.0 + index * _STEP_S
         seen = _middle(config) if index < _SETTLE_STEPS else wide
@@ -235,7 +244,8 @@ def _response(config: Config, box: Box, scale: float) -> tuple[float, float, flo
             HeightReading(now_s, _HEIGHT_M),
             LandedReading(now_s, Landed.IN_AIR),
         )
-        setpoint = controller.step(ControlInput(now_s, sample, events, commands)).setpoint
+        pointing = (GimbalAttitude(now_s, *mount_rpy_rad, is_yaw_on_earth=False),) if has_gimbal else ()
+        setpoint = controller.step(ControlInput(now_s, sample, (*events, *pointing), commands)).setpoint
     if setpoint is None:
         return 0.0, 0.0, 0.0, 0.0
     return (*setpoint.velocity_ned_mps, setpoint.yaw_rate_radps)

@@ -25,6 +25,7 @@ from companion.types import (
     HeightReading,
     Landed,
     LandedReading,
+    LandingTarget,
     LinkEvent,
     LocalState,
     ModeAnswer,
@@ -34,6 +35,7 @@ from companion.types import (
     Rebooted,
     SetpointInForce,
     Text,
+    Vector,
 )
 from companion.wire import Wire
 
@@ -134,6 +136,11 @@ class MavlinkCodec:
     def autopilot(self) -> Autopilot | None:
         """Kind of the autopilot, once it has been heard."""
         return self._autopilot[2] if self._autopilot is not None else None
+
+    @property
+    def clock(self) -> BootClock:
+        """What turns the autopilot's time into ours."""
+        return self._clock
 
     # ---------------------------------------------------------------------------------- messages -> events
     def receive(self, messages: "Iterable[Any]", now_s: float) -> list[LinkEvent]:
@@ -274,6 +281,37 @@ class MavlinkCodec:
         if self._autopilot is not None:
             self._mav.timesync_send(0, self._clock.ask(now_s))
 
+    def send_landing_target(self, target: LandingTarget) -> None:
+        """LANDING_TARGET in the form that the autopilot reads; what it cannot read is not sent.
+
+        ArduPilot (AC_PrecLand_Companion) takes a position in MAV_FRAME_BODY_FRD whose distance is above 0, or else the
+        two angles, and corrects the jitter of any clock in `time_usec`. PX4 (MavlinkReceiver) takes a position in
+        MAV_FRAME_LOCAL_NED; it would read angles as those of an IR-LOCK in its own mount, so it gets none.
+        """
+        if self._autopilot is None:
+            return
+        if self.autopilot is Autopilot.PX4:
+            frame, place = mavlink.MAV_FRAME_LOCAL_NED, target.place_ned_m
+            if place is None:
+                return
+        else:
+            frame, distance_m = mavlink.MAV_FRAME_BODY_FRD, target.distance_m
+            place = None if distance_m is None else _scaled(target.ray_frd, distance_m)
+        forward, right, down = target.ray_frd
+        self._mav.landing_target_send(
+            max(round(target.time_s * 1e6), 0),
+            0,
+            frame,
+            math.atan2(right, down),
+            math.atan2(-forward, down),
+            target.distance_m or 0.0,
+            *target.size_rad,
+            *(place or (0.0, 0.0, 0.0)),
+            (0.0, 0.0, 0.0, 0.0),
+            mavlink.LANDING_TARGET_TYPE_VISION_OTHER,
+            int(place is not None),
+        )
+
     def send_text(self, text: Text) -> None:
         """STATUSTEXT, in chunks of 50 characters where it is longer; the last one is known by not being full."""
         data = text.text.encode("ascii", "replace")
@@ -293,6 +331,10 @@ class MavlinkCodec:
 def _integer_in(value: float) -> int:
     """Whole number whose bytes are those of a float32."""
     return int.from_bytes(_FLOAT.pack(value), "little", signed=True)
+
+
+def _scaled(vector: Vector, by: float) -> Vector:
+    return vector[0] * by, vector[1] * by, vector[2] * by
 
 
 def _global(message: Any, time_s: float) -> list[LinkEvent]:

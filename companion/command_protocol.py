@@ -1,8 +1,8 @@
 """MAVLink's command protocol, as one of our components takes part in it: which commands are for it, and its answers.
 
 A command comes as COMMAND_LONG or COMMAND_INT and is answered with COMMAND_ACK to who sent it. One whose answer was
-lost comes again, with a higher `confirmation`: it is acknowledged again, not executed again. Source: "Command
-Protocol" of the MAVLink developer guide.
+lost comes again, with a higher `confirmation`: it is acknowledged again, not executed again. One that comes again while
+its answer is still awaited is answered once, at the end. Source: "Command Protocol" of the MAVLink developer guide.
 """
 
 import math
@@ -13,7 +13,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-RETRY_S = 2.0  # within which the same command of the same sender, with a confirmation above 0, is a retry
+# within which the same command of the same sender, with a confirmation above 0, is a retry: QGroundControl waits 3 s
+RETRY_S = 4.0
 _MOST_KNOWN = 32  # commands that are remembered
 
 
@@ -52,6 +53,7 @@ class Command:
 class _Known:
     command: Command
     result: Result | None  # None: not answered yet
+    heard_s: float  # the last time
 
 
 class CommandProtocol:
@@ -60,10 +62,13 @@ class CommandProtocol:
     Parameters
     ----------
     sender : of the component, `Wire.sender`.
+    unrepeated : numbers of commands of which nobody gives the same one twice in a row on purpose, such as a box
+        that is drawn: the same again is a retry, whatever its `confirmation`.
     """
 
-    def __init__(self, sender: Any) -> None:
+    def __init__(self, sender: Any, unrepeated: frozenset[int] = frozenset()) -> None:
         self._mav = sender
+        self._unrepeated = unrepeated
         self._known: deque[_Known] = deque(maxlen=_MOST_KNOWN)
 
     def take(self, message: Any, now_s: float) -> Command | None:
@@ -80,14 +85,19 @@ class CommandProtocol:
             message.target_component == 0,
             now_s,
         )
+        known = self._same(command)
+        if known is not None and known.result is None:
+            known.heard_s = now_s
+            return None
         # COMMAND_INT has no such field: its retries look like new commands
-        if kind == "COMMAND_LONG" and message.confirmation > 0:
-            known = self._same(command)
-            if known is not None:
-                if known.result is not None:
-                    self._acknowledge(known.command, known.result)
-                return None
-        self._known.append(_Known(command, None))
+        is_retry = kind == "COMMAND_LONG" and message.confirmation > 0
+        # MAVSDK and old ground stations leave it at 0
+        is_retry |= known is not None and known.result is Result.ACCEPTED and self._is_last_of_unrepeated(known)
+        if known is not None and known.result is not None and is_retry:
+            known.heard_s = now_s
+            self._acknowledge(known.command, known.result)
+            return None
+        self._known.append(_Known(command, None, now_s))
         return command
 
     def answer(self, command: Command, result: Result) -> None:
@@ -108,10 +118,22 @@ class CommandProtocol:
         is_system = message.target_system in {0, self._mav.srcSystem}
         return is_system and message.target_component in {0, self._mav.srcComponent}
 
+    def _is_last_of_unrepeated(self, known: _Known) -> bool:
+        last = [
+            other
+            for other in self._known
+            if other.command.sender == known.command.sender and other.command.number in self._unrepeated
+        ]
+        return bool(last) and last[-1] is known
+
     def _same(self, command: Command) -> _Known | None:
+        """The last command of that number and sender, where this is the same one, and it is not long ago.
+
+        The last one: what was ordered before another order is not in force any more, and to repeat it is a new order.
+        """
         for known in reversed(self._known):
-            is_same = (known.command.number, known.command.sender) == (command.number, command.sender)
-            # as text: NaN is like NaN
-            if is_same and repr(known.command.params) == repr(command.params):
-                return known if command.time_s - known.command.time_s <= RETRY_S else None
+            if (known.command.number, known.command.sender) == (command.number, command.sender):
+                # as text: NaN is like NaN
+                is_same = repr(known.command.params) == repr(command.params)
+                return known if is_same and command.time_s - known.heard_s <= RETRY_S else None
         return None

@@ -10,7 +10,7 @@ import json
 import math
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -20,6 +20,7 @@ from mscf.frame import MIN_BOX_PX  # of a first box
 
 FILE_NAME = "config.toml"
 SETPOINT_BITS = 650  # of one on a serial line: 65 bytes, each with a start and a stop bit
+SIGNATURE_BITS = 130  # more, where it is signed
 MAX_LINE_SHARE = 0.25  # of a serial line for setpoints: a queue of 512 bytes is a tenth of a second old then
 FIRST_CAMERA = 100  # MAV_COMP_ID_CAMERA
 FIRST_USER_COMMAND = 31010  # MAV_CMD_USER_1
@@ -290,6 +291,13 @@ def parse(text: str) -> Config:
     return config
 
 
+def without_passwords(config: Config) -> Config:
+    """The configuration as it may be kept and shown: what stands before an @ in the video's address is left out."""
+    scheme, mark, rest = config.ground.stream_uri.partition("://")
+    host = rest.rpartition("@")[2] if scheme == "rtsp" else rest  # udp://@:5600 is an address without a name in it
+    return replace(config, ground=replace(config.ground, stream_uri=f"{scheme}{mark}{host}"))
+
+
 def text_of(config: Config) -> str:
     """The configuration as a TOML text with every key; `parse` reads it back as it is."""
     lines = []
@@ -299,7 +307,8 @@ def text_of(config: Config) -> str:
         for key in dataclasses.fields(section):
             value = getattr(section, key.name)
             value = list(value) if isinstance(value, tuple) else value
-            lines.append(f"{key.name} = {json.dumps(value, ensure_ascii=False)}")  # TOML knows no surrogates
+            text = json.dumps(value, ensure_ascii=False)  # TOML knows no surrogates, and must have DEL escaped
+            lines.append(f"{key.name} = {text}".replace("\x7f", "\\u007f"))
     return "\n".join(lines) + "\n"
 
 
@@ -393,8 +402,10 @@ def stream_scheme(uri: str) -> str:
 def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
     """What two keys must not say together: whether they do, and the line that says so."""
     camera, select, follow, limits, loss = config.camera, config.select, config.follow, config.limits, config.loss
-    link, needed_baud = config.link, SETPOINT_BITS * config.loop.rate_hz / MAX_LINE_SHARE
+    setpoint_bits = SETPOINT_BITS + SIGNATURE_BITS * bool(config.signing.key_file)
+    link, needed_baud = config.link, setpoint_bits * config.loop.rate_hz / MAX_LINE_SHARE
     rc, gain_delay = config.rc, config.follow.yaw_gain_per_s * config.follow.delay_ms / 1000
+    is_fixed = config.gimbal.axes == "none"  # with a gimbal the mount's angles are its own
     channels = [rc.roll_channel, rc.pitch_channel, rc.yaw_channel] + [rc.switch_channel] * (rc.switch_channel > 0)
     return (
         (
@@ -429,21 +440,21 @@ def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
             f"follow.range_m = {follow.range_m:g} must be 0 or in {MIN_RANGE_M:g}..200: nearer is no distance to keep",
         ),
         (
-            follow.mode == "follow" and abs(math.remainder(camera.mount_roll_deg, 180)) > 45,
+            is_fixed and follow.mode == "follow" and abs(math.remainder(camera.mount_roll_deg, 180)) > 45,
             (
                 f"camera.mount_roll_deg = {camera.mount_roll_deg:g} must be within 45 of 0 or 180: sizes and ranges "
                 "are measured along the picture's height"
             ),
         ),
         (
-            follow.mode == "overhead" and camera.mount_pitch_deg > -70,
+            is_fixed and follow.mode == "overhead" and camera.mount_pitch_deg > -70,
             (
                 f'follow.mode = "overhead" needs a camera that looks down: camera.mount_pitch_deg = '
                 f"{camera.mount_pitch_deg:g} must be in -90..-70"
             ),
         ),
         (
-            follow.mode != "overhead" and camera.mount_pitch_deg < -75,
+            is_fixed and follow.mode != "overhead" and camera.mount_pitch_deg < -75,
             (
                 f'follow.mode = "{follow.mode}" needs a camera that looks ahead: camera.mount_pitch_deg = '
                 f'{camera.mount_pitch_deg:g} must be in -75..45, or follow.mode "overhead"'
@@ -514,7 +525,7 @@ def _cross_checks(config: Config) -> tuple[tuple[bool, str], ...]:
             f"ground.stream_uri is {len(config.ground.stream_uri.encode())} bytes long: MAVLink carries {MAX_URI}",
         ),
         (
-            config.landing.send_target and camera.mount_pitch_deg > -70 and config.gimbal.axes == "none",
+            config.landing.send_target and camera.mount_pitch_deg > -70 and is_fixed,
             (
                 f"landing.send_target needs a camera that looks down: camera.mount_pitch_deg = "
                 f"{camera.mount_pitch_deg:g} must be in -90..-70"

@@ -12,6 +12,7 @@ from typing import assert_never
 from companion.camera_model import AttitudeHistory, CameraModel, wrapped
 from companion.config import Config
 from companion.engagement import Reason, refusals
+from companion.gimbal import Gimbal, GimbalHistory, mounted
 from companion.guidance import (
     MAX_PREDICTION_S,
     Aim,
@@ -24,6 +25,7 @@ from companion.guidance import (
     turn,
 )
 from companion.hearing import Hearing, ResumeGuard
+from companion.landing import landing_target
 from companion.modes import TRANSITIONS, Event, Mode, after
 from companion.safety import Place, SafeSetpoint, held_back_by, limit, stop
 from companion.target import (
@@ -47,9 +49,13 @@ from companion.types import (
     Disengage,
     Engage,
     FlightMode,
+    GimbalAim,
+    GimbalAttitude,
+    GimbalOrder,
     Heartbeat,
     Landed,
     LandedReading,
+    LandingTarget,
     LinkEvent,
     LocalState,
     ModeAnswer,
@@ -76,6 +82,8 @@ ABANDONED_S = 1.5  # after which a heartbeat is no old one that was waiting some
 STREAM_GAP_S = 0.5  # without setpoints, after which PX4 (which wants more than 2 Hz) may leave OFFBOARD
 SILENCE_S = 1.0  # of the link, after which PX4 has left OFFBOARD: the default of COM_OF_LOSS_T
 NOTHING_SELECTED = Selection(0, None)
+NOTHING_ORDERED = GimbalOrder(None, None)
+LEAST_GIMBAL_PITCH_RAD = -math.pi / 2  # before its manager has said more
 _MODE_OF = {"hold": FlightMode.HOLD, "rtl": FlightMode.RTL, "land": FlightMode.LAND}
 
 
@@ -89,6 +97,8 @@ class ControlOutput:
     expected : where the target should be in the newest frame, and how large, for a search; None: no idea.
     notes : why the vehicle does not move as the law says, in the operator's words.
     texts : lines for the operator, on a change.
+    gimbal : for the gimbal's manager, now.
+    landing : of a frame that has just been measured, where the configuration wants it told.
     """
 
     mode: Mode
@@ -99,6 +109,8 @@ class ControlOutput:
     notes: tuple[str, ...]
     texts: tuple[Text, ...]
     target: TargetEstimate | None
+    gimbal: GimbalOrder = NOTHING_ORDERED
+    landing: LandingTarget | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +146,7 @@ class _State:
     left_s: float = -math.inf  # when the last setpoint was sent of which it is known that it has left
     had_height: bool = False  # whether the autopilot said its height over take-off at engagement
     abandoned_s: float = math.inf  # when a PX4 was left to its own time-out without a word
+    gimbal: Gimbal = field(default_factory=Gimbal)
 
 
 class Controller:
@@ -143,7 +156,10 @@ class Controller:
         self._config = config
         self._state = _State()
         self._attitudes = AttitudeHistory()
+        self._has_gimbal = config.gimbal.axes != "none"
+        self._gimbal_attitudes = GimbalHistory()
         self._camera: CameraModel | None = None
+        self._landing: LandingTarget | None = None
         self._texts: list[Text] = []
         self._request: FlightMode | None = None
 
@@ -160,7 +176,7 @@ class Controller:
     def step(self, inputs: ControlInput) -> ControlOutput:
         """Take one step; never raises on anything that comes from outside."""
         now_s = inputs.now_s
-        self._texts, self._request = [], None
+        self._texts, self._request, self._landing = [], None, None
         if inputs.is_sent:
             self._change(left_s=self._state.sent_s)
         self._take_in(inputs.events, now_s)
@@ -176,6 +192,7 @@ class Controller:
         wish, notes = self._guide(now_s)
         setpoint, edges = self._limited(wish, now_s)
         self._ask(now_s)
+        gimbal = self._turn_gimbal(now_s) if self._has_gimbal else NOTHING_ORDERED
         state = self._state
         return ControlOutput(
             state.mode,
@@ -186,6 +203,8 @@ class Controller:
             (*notes, *edges),
             tuple(self._texts),
             state.target,
+            gimbal,
+            self._landing,
         )
 
     def shut_down(self) -> FlightMode | None:
@@ -203,8 +222,11 @@ class Controller:
         for event in events:
             if isinstance(event, Attitude):
                 self._attitudes.add(event)
+            if isinstance(event, GimbalAttitude):
+                self._gimbal_attitudes.add(event)
             if isinstance(event, Rebooted):
                 self._attitudes.clear()
+                self._gimbal_attitudes.clear()
                 self._override(Reason.REBOOTED)
                 self._change(guard=replace(self._state.guard, heard=None))
             if isinstance(event, ModeAnswer):
@@ -213,7 +235,7 @@ class Controller:
                 self._watch_frame(event)
             if isinstance(event, SetpointInForce) and now_s - self._state.left_s <= STREAM_GAP_S:
                 self._watch_obedience(event)  # after a stall of ours it has good reason to stand
-            self._change(vehicle=self._state.vehicle.after(event))
+            self._change(vehicle=self._state.vehicle.after(event), gimbal=self._state.gimbal.after(event))
             was_external = self._state.guard.heard is FlightMode.EXTERNAL
             if isinstance(event, Heartbeat):
                 leave_for = self._state.leave_for if self._state.mode is Mode.LEAVING else None
@@ -385,9 +407,10 @@ class Controller:
             self._camera = CameraModel.of(config, sample.size_hw)
         time_s = sample.captured_s - config.camera.latency_ms / 1000
         attitude = self._attitudes.at(time_s)
-        if attitude is None:
+        camera = self._camera_at(attitude) if attitude is not None else None
+        if attitude is None or camera is None:
             return
-        seen = measure(self._camera, box, attitude, time_s)
+        seen = measure(camera, box, attitude, time_s)
         height_m = state.vehicle.height_over_ground_m(sample.captured_s)
         if config.follow.mode == "overhead":
             fix = range_from_above(seen, height_m)
@@ -402,6 +425,32 @@ class Controller:
                 self._change(reference=relearned(state.reference, seen, height_m, dt_s))
         local = state.vehicle.fresh_local(sample.captured_s)
         self._change(target=estimate(seen, fix, local, state.target))
+        if config.landing.send_target:
+            self._landing = landing_target(camera, seen, attitude, local, height_m)
+
+    def _camera_at(self, attitude: Attitude) -> CameraModel | None:
+        """The camera as it was mounted at an attitude's time; None where the gimbal has not told."""
+        if self._camera is None or not self._has_gimbal:
+            return self._camera
+        gimbal = self._gimbal_attitudes.at(attitude.time_s, attitude)
+        return mounted(self._camera, gimbal, attitude) if gimbal is not None else None
+
+    def _turn_gimbal(self, now_s: float) -> GimbalOrder:
+        """What the gimbal's manager is asked for, and where the camera is to look; whatever the vehicle does."""
+        state = self._state
+        selection = state.selection.number if state.selection.box is not None else None
+        lost_s = now_s - (state.target.seen.time_s if state.target is not None else state.chosen_s)
+        gimbal, claim, text = state.gimbal.claimed(selection, lost_s, self._config.loss.give_up_after_s, now_s)
+        if text:
+            self._say(Severity.WARNING, text)
+        aim: GimbalAim | None = None
+        vehicle = state.vehicle.fresh_attitude(now_s)
+        newest = self._attitudes.newest
+        camera = self._gimbal_attitudes.at(newest.time_s, newest) if newest is not None else None
+        if gimbal.is_ours and state.target is not None and vehicle is not None and camera is not None:
+            gimbal, aim = gimbal.aimed(state.target, vehicle, camera, now_s, self._config.gimbal)
+        self._change(gimbal=gimbal)
+        return GimbalOrder(claim, aim)
 
     def _reference(self) -> RangeReference | None:
         """What makes a size a range: the target's true height where it is configured, else what engagement taught."""
@@ -475,6 +524,8 @@ class Controller:
             chosen_s=now_s,
             awaiting_s=-math.inf,
         )
+        if self._has_gimbal and state.gimbal.manager is None:
+            self._say(Severity.WARNING, "No gimbal heard: target cannot be measured")
         self._event(Event.SELECTED, is_optional=True)
 
     def _engage(self, now_s: float) -> None:
@@ -585,13 +636,13 @@ class Controller:
             return Setpoint((0.0, 0.0, 0.0), self._search_rate(now_s)), ("target lost, searching",)
         if state.mode not in {Mode.FOLLOWING, Mode.COASTING} or state.target is None or state.aim is None:
             return ZERO, ("target lost, holding",) if state.mode is Mode.HOLDING else ("waiting for confirmation",)
-        assert self._camera is not None  # a target has been measured
-        mount_yaw_rad = self._camera.mount_rpy_rad[2]
+        camera = self._steering_camera()
+        mount_yaw_rad = camera.mount_rpy_rad[2]
         if state.mode is Mode.COASTING:
             rate_radps, _ = turn(state.target, attitude, mount_yaw_rad, now_s, state.moving, config.follow)
             is_turning = config.follow.mode != "overhead"
             return Setpoint((0.0, 0.0, 0.0), rate_radps if is_turning else 0.0), ("target unsure, coasting",)
-        guided = self._law(state.target, state.aim, attitude, local, self._camera, now_s)
+        guided = self._law(state.target, state.aim, attitude, local, camera, now_s)
         self._change(moving=guided.moving)
         return guided.wish, tuple(caution.value for caution in guided.cautions)
 
@@ -609,6 +660,8 @@ class Controller:
             return spotlight(target, attitude, camera.mount_rpy_rad[2], now_s, moving, follow)
         if follow.mode == "follow":
             guided = follow_target(target, aim, attitude, local, camera, now_s, moving, follow)
+            if self._has_gimbal:  # which keeps the target in view however the vehicle leans
+                return guided
             sent = self._state.sent or stop()
             return kept_in_view(guided, target, sent.velocity_ned_mps[:2], now_s, self._since_sent_s(now_s), follow)
         height_m = self._state.vehicle.height_over_ground_m(now_s) or 0.0
@@ -618,6 +671,18 @@ class Controller:
             aim = replace(aim, height_m=None)
         return overhead(target, aim, local, height_m, now_s, moving, follow)
 
+    def _steering_camera(self) -> CameraModel:
+        """The camera as the law has it; one on a gimbal looks along the nose, and loses no target above its lower end.
+
+        What the gimbal does meanwhile is its own affair: the nose would turn away from the target with it.
+        """
+        assert self._camera is not None  # a target has been measured
+        if not self._has_gimbal:
+            return self._camera
+        manager = self._state.gimbal.manager
+        lowest_rad = manager.pitch_range_rad[0] if manager is not None else LEAST_GIMBAL_PITCH_RAD
+        return self._camera.mounted((0.0, lowest_rad, 0.0))
+
     def _search_rate(self, now_s: float) -> float:
         """Slow turn towards the side on which the target was last seen, rad/s; one turn, no more."""
         target, loss = self._state.target, self._config.loss
@@ -626,7 +691,8 @@ class Controller:
             return 0.0
         if self._config.follow.mode == "overhead":  # a camera that looks down sees the same ground all the way round
             return 0.0
-        aside_rad = wrapped(target.seen.azimuth_rad - math.radians(self._config.camera.mount_yaw_deg))
+        mount_yaw_rad = 0.0 if self._has_gimbal else math.radians(self._config.camera.mount_yaw_deg)
+        aside_rad = wrapped(target.seen.azimuth_rad - mount_yaw_rad)
         return math.copysign(rate_radps, aside_rad)
 
     def _limited(self, wish: Setpoint, now_s: float) -> tuple[SafeSetpoint | None, tuple[str, ...]]:
@@ -673,10 +739,11 @@ class Controller:
     def _expected(self, now_s: float) -> Expected | None:
         """Where the target should be in a frame taken now; None without an idea, or behind the camera."""
         state, attitude = self._state, self._attitudes.newest
-        if state.target is None or attitude is None or self._camera is None:
+        camera = self._camera_at(attitude) if attitude is not None else None
+        if state.target is None or attitude is None or camera is None:
             return None
         local, height_m = state.vehicle.fresh_local(now_s), state.vehicle.height_over_ground_m(now_s)
-        return expected(state.target, self._camera, attitude, local, height_m, now_s)
+        return expected(state.target, camera, attitude, local, height_m, now_s)
 
     # ------------------------------------------------------------------------------- small change
     def _is_external(self) -> bool:

@@ -6,15 +6,19 @@ The command loop on the vehicle and the simulator's loop both drive this one cla
 import math
 from collections import deque
 from dataclasses import dataclass
+from importlib.metadata import version
 
+from companion.camera_protocol import CameraProtocol
 from companion.codec import ATTITUDE_HZ, MavlinkCodec
 from companion.config import Config
 from companion.controller import Controller, ControlOutput
 from companion.engagement import Reason
+from companion.gimbal_protocol import GimbalProtocol
 from companion.ground_command import GroundCommands
 from companion.modes import Mode
 from companion.parameters import WANTED, advice
 from companion.safety import stop
+from companion.signing import Signing
 from companion.types import (
     Attitude,
     AutopilotText,
@@ -77,15 +81,21 @@ class Follower:
     Parameters
     ----------
     config : a checked configuration.
+    signing : of the link, where it is signed.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, signing: Signing | None = None) -> None:
         self._config = config
         self._controller = Controller(config)
         link = config.link
-        self._wire = Wire(link.system_id or 1)
+        self._wire = Wire(link.system_id or 1, signing)
         self._codec = MavlinkCodec(self._wire, link.system_id, link.component_id, link.setpoint_frame)
         self._ground = GroundCommands(self._wire.sender(link.component_id), config.ground)
+        self._gimbal = GimbalProtocol(self._wire.sender(link.component_id), config.gimbal, self._codec.clock)
+        self._camera: CameraProtocol | None = None
+        if config.ground.camera_component:
+            sender = self._wire.sender(config.ground.camera_component)
+            self._camera = CameraProtocol(sender, config, version("mscf-companion"))
         self._heartbeat_s = -math.inf
         self._rates_s = math.inf  # when they were asked for; not before an autopilot is there
         self._attitudes = 0  # since then
@@ -122,17 +132,25 @@ class Follower:
         is_sent : whether the port has taken the last step's bytes.
         notices : what else the operator is to be told.
         """
+        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
+            self._codec.send_time_request(now_s)  # before anything else: nothing that queues ahead delays its answer
         messages = self._wire.receive(data)
-        events = tuple(self._codec.receive(messages, now_s))
-        commands = (*self._at_start(track), *commands, *self._ground.receive(messages, now_s))
+        events = (*self._codec.receive(messages, now_s), *self._gimbal.receive(messages, now_s))
+        clicked = self._camera.receive(messages, track, now_s) if self._camera is not None else ()
+        commands = (*self._at_start(track), *clicked, *commands, *self._ground.receive(messages, now_s))
         inputs = ControlInput(now_s, track, events, commands, is_sent)
         output = self._controller.step(inputs)
         self._ground.after(output.mode)
+        if self._camera is not None:
+            self._camera.after(output, self._controller.vehicle, track, now_s)
         # the request first: after a gap a stream alone would bring PX4 back to OFFBOARD
         if output.request is not None:
             self._codec.send_mode_request(output.request)
         if output.setpoint is not None:
             self._codec.send_setpoint(output.setpoint, now_s)
+        self._gimbal.send(output.gimbal, self._codec.autopilot, now_s)
+        if output.landing is not None:
+            self._codec.send_landing_target(output.landing)
         self._keep_up(events, now_s)
         self._tell(output)
         self._queue.extend(notices)
@@ -142,6 +160,8 @@ class Follower:
         if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
             self._heartbeat_s = now_s
             self._codec.send_heartbeat(is_active=output.mode.is_engaged, is_healthy=is_healthy)
+            if self._camera is not None:
+                self._camera.send_heartbeat(is_healthy=is_healthy)
         said = tuple(event for event in events if isinstance(event, AutopilotText))
         received = tuple(bytes(message.get_msgbuf()) for message in messages)
         return Step(inputs, output, self._controller.vehicle, received, self._wire.drain(), texts, said)
@@ -159,6 +179,7 @@ class Follower:
         if request is not None:
             self._codec.send_mode_request(request)
             self._codec.send_text(Text(Severity.WARNING, f"Follow ended: {Reason.SHUTDOWN.value}"))
+        self._gimbal.release()
         return b"".join(self._wire.drain())
 
     def _tell(self, output: ControlOutput) -> None:

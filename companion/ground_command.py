@@ -37,7 +37,8 @@ class GroundCommands:
             command = self._protocol.take(message, now_s)
             if command is None:
                 continue
-            if command.number != self._config.engage_command:  # 0, where there is none, is no command either
+            # 0 is no command, but somebody may send it
+            if not self._config.engage_command or command.number != self._config.engage_command:
                 self._protocol.answer(command, Result.UNSUPPORTED)
                 continue
             order = _ORDERS.get(command.whole(0))
@@ -54,7 +55,7 @@ class GroundCommands:
 
     def after(self, mode: Mode) -> None:
         """Acknowledge what was asked in this step, now that its mode is known."""
-        if mode.is_engaged:
+        if mode in {Mode.FOLLOWING, Mode.COASTING}:  # not where a target that is lost still waits to be confirmed
             result = Result.ACCEPTED
         else:
             result = Result.TEMPORARILY_REJECTED if mode is Mode.READY else Result.FAILED

@@ -22,8 +22,8 @@ RELEARN_TAU_S = 4.0
 MAX_HIDDEN_S = 3.0  # for which a hidden target is looked for where its motion would have taken it
 _EDGE_PX = 1.5
 _SIZE_LOG_SIGMA = 0.15  # of a range by size: the box's scale steps by two per cent and its target turns
-_HEIGHT_LOG_SIGMA = 0.05  # of the height over the target's ground
-_ATTITUDE_SIGMA_RAD = math.radians(1.0)
+HEIGHT_LOG_SIGMA = 0.05  # of the height over the target's ground
+ATTITUDE_SIGMA_RAD = math.radians(1.0)
 _FINDER_LOG_SIGMA = 0.05
 _FINDER_CONE_RAD = math.radians(4.0)  # a forward rangefinder hits the target only where the nose points at it
 
@@ -58,10 +58,14 @@ class RangeReference:
 
 @dataclass(frozen=True, slots=True)
 class RangeFix:
-    """Horizontal range, fused; `is_conflicting` where two sources disagree by more than 40 per cent."""
+    """Horizontal range, fused; `is_conflicting` where two sources disagree by more than 40 per cent.
+
+    sigma_m : standard deviation of the range; infinite where it is not known.
+    """
 
     range_m: float
     is_conflicting: bool
+    sigma_m: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +150,8 @@ def range_fix(
         logs.append((math.log(slant_m * flat), _SIZE_LOG_SIGMA**2))
     foot = seen.foot_depression_rad
     if height_m is not None and height_m > 0.5 and MIN_DEPRESSION_RAD <= foot < math.radians(89.0):
-        sigma = _ATTITUDE_SIGMA_RAD / (math.sin(foot) * math.cos(foot))  # d ln(1/tan) / d angle
-        logs.append((math.log(height_m / math.tan(foot)), sigma**2 + _HEIGHT_LOG_SIGMA**2))
+        sigma = ATTITUDE_SIGMA_RAD / (math.sin(foot) * math.cos(foot))  # d ln(1/tan) / d angle
+        logs.append((math.log(height_m / math.tan(foot)), sigma**2 + HEIGHT_LOG_SIGMA**2))
     if finder_m is not None and finder_m > 0 and seen.off_nose_rad < _FINDER_CONE_RAD:
         logs.append((math.log(finder_m * flat), _FINDER_LOG_SIGMA**2))
     if not logs:
@@ -155,7 +159,9 @@ def range_fix(
     weights = [1 / variance for _, variance in logs]
     mean = sum(w * value for w, (value, _) in zip(weights, logs, strict=True)) / sum(weights)
     spread = max(value for value, _ in logs) - min(value for value, _ in logs)
-    return RangeFix(math.exp(mean), spread > math.log(MAX_SOURCE_RATIO))
+    # sources that disagree are no better than half of what is between them, whatever each one claims
+    log_sigma = max(1 / math.sqrt(sum(weights)), spread / 2)
+    return RangeFix(math.exp(mean), spread > math.log(MAX_SOURCE_RATIO), math.exp(mean) * log_sigma)
 
 
 def range_from_above(seen: Measurement, height_m: float | None) -> RangeFix | None:
@@ -163,7 +169,10 @@ def range_from_above(seen: Measurement, height_m: float | None) -> RangeFix | No
     down = float(seen.ray_ned[2])
     if height_m is None or height_m <= 0.5 or down < math.sin(MIN_DEPRESSION_RAD):
         return None
-    return RangeFix(height_m * math.hypot(float(seen.ray_ned[0]), float(seen.ray_ned[1])) / down, is_conflicting=False)
+    range_m = height_m * math.hypot(float(seen.ray_ned[0]), float(seen.ray_ned[1])) / down
+    # d range / d angle is height / down^2, also right underneath, where the range itself is 0
+    sigma_m = math.hypot(range_m * HEIGHT_LOG_SIGMA, height_m / down**2 * ATTITUDE_SIGMA_RAD)
+    return RangeFix(range_m, is_conflicting=False, sigma_m=sigma_m)
 
 
 def relearned(reference: RangeReference, seen: Measurement, height_m: float | None, dt_s: float) -> RangeReference:

@@ -15,7 +15,7 @@ from statistics import median
 
 REBOOT_S = 1.0  # by which time_boot_ms goes back; less is reordering on the link
 CLOCK_LEAK = 1e-4  # s/s: a quartz drifts less, and a link whose delay has grown is found again
-MAX_ROUND_TRIP_S = 0.04  # a longer one has a queue or a radio in it, and is not likely to be the same both ways
+MAX_ROUND_TRIP_S = 0.02  # a longer one has a queue or a radio in it, and is not likely to be the same both ways
 ANSWERS = 9  # whose median counts
 MIN_ANSWERS = 3
 MAX_ANSWER_AGE_S = 10.0  # of the newest; by then two clocks may have drifted apart by a millisecond
@@ -74,5 +74,4 @@ class BootClock:
             self._earliest_s.clear()
         if len(self._earliest_s) < MIN_ANSWERS:
             return 0.0
-        round_trip_s = self._latest_s - median(self._earliest_s)
-        return max(round_trip_s, 0.0) if round_trip_s <= MAX_ROUND_TRIP_S else 0.0
+        return max(self._latest_s - median(self._earliest_s), 0.0)

@@ -205,6 +205,42 @@ class ModeAnswer:
 
 
 @dataclass(frozen=True, slots=True)
+class GimbalAttitude:
+    """Where the camera on the gimbal looks, by the horizon; the yaw is from north, or from the vehicle's nose."""
+
+    time_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    is_yaw_on_earth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalManager:
+    """What a gimbal can do: its ends, low and high, and whether it can keep its yaw while the vehicle turns."""
+
+    pitch_range_rad: tuple[float, float]
+    yaw_range_rad: tuple[float, float] | None  # from the nose; None: it turns all round
+    can_lock_yaw: bool
+
+
+class Holder(Enum):
+    """Who has the primary control of the gimbal."""
+
+    NOBODY = auto()
+    US = auto()
+    OTHER = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalControl:
+    """The gimbal manager says who controls it."""
+
+    time_s: float
+    holder: Holder
+
+
+@dataclass(frozen=True, slots=True)
 class Rebooted:
     """The autopilot's clock went back: it forgot what it was asked for."""
 
@@ -225,6 +261,9 @@ LinkEvent = (
     | SetpointInForce
     | AutopilotText
     | ModeAnswer
+    | GimbalAttitude
+    | GimbalManager
+    | GimbalControl
     | Rebooted
 )
 
@@ -299,3 +338,45 @@ class Setpoint:
 
 
 ZERO = Setpoint((0.0, 0.0, 0.0), 0.0)
+
+
+# ----------------------------------------------------------------------------- the loop -> gimbal and autopilot
+class Claim(Enum):
+    """What to ask of the gimbal manager."""
+
+    TAKE = auto()
+    RELEASE = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalAim:
+    """Where the camera is to look, by the horizon: pitch upwards, yaw from north or from the vehicle's nose."""
+
+    pitch_rad: float
+    yaw_rad: float
+    is_yaw_on_earth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalOrder:
+    """For the gimbal manager, now; None where nothing is."""
+
+    claim: Claim | None
+    aim: GimbalAim | None
+
+
+@dataclass(frozen=True, slots=True)
+class LandingTarget:
+    """Where a target below was seen: advice for the autopilot's own precision landing, which moves nothing by itself.
+
+    ray_frd : unit vector towards it, in the body's axes when the frame was exposed.
+    distance_m : along the ray; None where no height is known.
+    place_ned_m : in the autopilot's local frame; None where the vehicle's own is not known.
+    size_rad : of its box, across and down the picture.
+    """
+
+    time_s: float
+    ray_frd: Vector
+    distance_m: float | None
+    place_ned_m: Vector | None
+    size_rad: tuple[float, float]

@@ -11,6 +11,8 @@ os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink at import; version 
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.signing import Signing
+
 _MAX_BACKLOG = 65536  # bytes handed to the parser at once; a longer read is old
 
 
@@ -25,14 +27,21 @@ class _Outbox:
 
 
 class Wire:
-    """The link's messages; `system_id` is the vehicle's, which all our components share."""
+    """The link's messages.
 
-    def __init__(self, system_id: int = 1) -> None:
+    Parameters
+    ----------
+    system_id : the vehicle's, which all our components share.
+    signing : everything that is sent is signed, and nothing else is heard; None: neither.
+    """
+
+    def __init__(self, system_id: int = 1, signing: Signing | None = None) -> None:
+        self._signing = signing
+        self._system_id = system_id
         self._outbox = _Outbox()
-        self._parser = mavlink.MAVLink(None)
+        self._parser = self._end(0)
         self._parser.robust_parsing = True
         self._senders: dict[int, Any] = {}
-        self._system_id = system_id
 
     @property
     def system_id(self) -> int:
@@ -48,20 +57,33 @@ class Wire:
     def sender(self, component_id: int) -> Any:
         """What a component of ours sends with: pymavlink's `MAVLink`, whose `*_send` methods write to this wire."""
         if component_id not in self._senders:
-            self._senders[component_id] = mavlink.MAVLink(self._outbox, self._system_id, component_id)
+            self._senders[component_id] = self._end(component_id)
         return self._senders[component_id]
+
+    def _end(self, component_id: int) -> Any:
+        end = mavlink.MAVLink(self._outbox, self._system_id, component_id)
+        if self._signing is not None:
+            self._signing.equip(end)
+        return end
 
     def receive(self, data: bytes) -> list[Any]:
         """Messages in what has arrived, in any chunks; never raises, whatever the bytes.
 
-        What no message can be made of is left out, and so is what a router has sent back to us.
+        What no message can be made of is left out, and so is what a router has sent back to us, what is not signed
+        where signing is on, and SETUP_SIGNING, which carries a key that nobody is to log.
         """
         parser = self._parser
         messages = parser.parse_buffer(data[-_MAX_BACKLOG:]) or []
         # pymavlink frees its buffer only when nothing is left in it, which may never happen
         del parser.buf[: parser.buf_index]
         parser.buf_index = 0
-        return [m for m in messages if m.get_type() != "BAD_DATA" and not self._is_echo(m)]
+        return [m for m in messages if self._is_heard(m) and not self._is_echo(m)]
+
+    def _is_heard(self, message: Any) -> bool:
+        kind = message.get_type()
+        # pymavlink hands on what it does not know before it has looked at signature and checksum
+        is_unchecked = self._signing is not None and kind.startswith("UNKNOWN_")
+        return kind not in {"BAD_DATA", "SETUP_SIGNING"} and not is_unchecked
 
     def _is_echo(self, message: Any) -> bool:
         return message.get_srcSystem() == self._system_id and message.get_srcComponent() in self._senders

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+from sim.gimbal import Gimbal
 from sim.personality import (
     ACCEPTED,
     DENIED,
@@ -81,6 +82,7 @@ class FakeAutopilot:
     system_id : of the vehicle; the component is 1.
     parameters : values by name that differ from the defaults in `personality.PARAMETERS`.
     wind : at the vehicle.
+    gimbal : that it manages; None: it has none.
 
     Same construction, same calls: same bytes. Nothing received can make it raise.
 
@@ -99,6 +101,7 @@ class FakeAutopilot:
         system_id: int = 1,
         parameters: Mapping[str, float] | None = None,
         wind: Wind = CALM,
+        gimbal: Gimbal | None = None,
     ) -> None:
         parameters = parameters or {}
         for name in parameters:
@@ -124,6 +127,7 @@ class FakeAutopilot:
         )
         self._personality = personality(self._flight, np.random.default_rng((seed, 9)))
         self._wind = wind
+        self._gimbal = gimbal
         self._system_id = system_id
         self._booted_s = self._flight.started_s
         self._announced_mode = mode
@@ -139,6 +143,15 @@ class FakeAutopilot:
             mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance_sensor,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
         }
+        if gimbal is not None:
+            is_px4 = self._is_px4
+            self._builders |= {
+                mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: lambda: gimbal.information(self._boot_ms),
+                mavlink.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: lambda: gimbal.status(self._boot_ms),
+                mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: lambda: gimbal.attitude(
+                    self._boot_ms, is_px4=is_px4
+                ),
+            }
         self._boot_link(from_s=0.0)
 
     # What the tests and the simulation see
@@ -152,6 +165,25 @@ class FakeAutopilot:
     def pose(self) -> Pose:
         """Position and attitude of the vehicle."""
         return self._flight.vehicle.pose
+
+    @property
+    def gimbal(self) -> Gimbal | None:
+        """The gimbal, where there is one."""
+        return self._gimbal
+
+    @property
+    def camera_pose(self) -> Pose:
+        """Position of the vehicle, with the attitude of what carries the camera: the gimbal, or the vehicle itself."""
+        if self._gimbal is None:
+            return self.pose
+        return Pose(self.pose.pos_ned_m, pitch_rad=self._gimbal.pitch_rad, yaw_rad=self._gimbal.yaw_rad)
+
+    @property
+    def camera_rates_radps(self) -> tuple[float, float]:
+        """Rates of pitch and yaw of what carries the camera; a vehicle's pitch rate is left out."""
+        if self._gimbal is None:
+            return 0.0, self.yaw_rate_radps
+        return self._gimbal.pitch_rate_radps, self._gimbal.yaw_rate_radps
 
     @property
     def velocity_ned_mps(self) -> Vector:
@@ -300,6 +332,8 @@ class FakeAutopilot:
         flight.vehicle = step(
             flight.vehicle, command if flight.is_armed else None, personality.AIRFRAME, wind_ne_mps, dt_s
         )
+        if self._gimbal is not None:
+            self._gimbal.step(dt_s, flight.vehicle.yaw_rad)
         if flight.time_s < self._silent_until_s:
             return
         if flight.mode != self._announced_mode:
@@ -456,6 +490,9 @@ class FakeAutopilot:
             case "PARAM_REQUEST_READ":
                 if self._is_own(message):
                     self._send_parameter(message)
+            case "GIMBAL_MANAGER_SET_PITCHYAW" | "GIMBAL_MANAGER_SET_ATTITUDE":
+                if self._gimbal is not None and self._is_own(message):
+                    self._gimbal.receive(message, is_px4=self._is_px4)
             case "REQUEST_DATA_STREAM":
                 if self._is_own(message):
                     self._request_data_stream(message)
@@ -465,6 +502,10 @@ class FakeAutopilot:
             case _:
                 pass
 
+    @property
+    def _is_px4(self) -> bool:
+        return bool(self._personality.AUTOPILOT == mavlink.MAV_AUTOPILOT_PX4)
+
     def _is_own(self, message: Any) -> bool:
         return message.target_system in {0, self._system_id}
 
@@ -472,7 +513,8 @@ class FakeAutopilot:
         # A command to another component, such as a camera, is that one's to answer.
         if not self._is_own(message) or message.target_component not in {0, mavlink.MAV_COMP_ID_AUTOPILOT1}:
             return
-        for result in self._results(message.command, params):
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        for result in self._results(message.command, params, sender):
             self._send(
                 mavlink.MAVLink_command_ack_message(
                     message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
@@ -481,7 +523,7 @@ class FakeAutopilot:
         if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE and (builder := self._builders.get(whole(params[0]))):
             self._send(builder())
 
-    def _results(self, command: int, params: tuple[float, ...]) -> tuple[int, ...]:
+    def _results(self, command: int, params: tuple[float, ...], sender: tuple[int, int]) -> tuple[int, ...]:
         """Obey a command; the MAV_RESULT of every acknowledgement."""
         personality = self._personality
         match command:
@@ -497,6 +539,8 @@ class FakeAutopilot:
                 return (self._set_message_interval(whole(params[0]), params[1]),)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 return (ACCEPTED if whole(params[0]) in self._builders else DENIED,)
+            case mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE if self._gimbal is not None:
+                return (self._gimbal.configure(params, sender),)
             case _:
                 return (UNSUPPORTED,)
 

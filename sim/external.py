@@ -117,6 +117,16 @@ class ExternalAutopilot:
         """As it reported last."""
         return self._attitudes.newest.yaw_rate_radps if self._attitudes.newest is not None else 0.0
 
+    @property
+    def camera_pose(self) -> Pose:
+        """As the vehicle's: the simulated camera is fixed to it."""
+        return self.pose
+
+    @property
+    def camera_rates_radps(self) -> tuple[float, float]:
+        """Rates of pitch, which is left out, and yaw."""
+        return 0.0, self.yaw_rate_radps
+
     def receive(self, data: bytes) -> None:
         """Pass the application's bytes on."""
         self._link.write(data)

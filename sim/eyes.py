@@ -27,7 +27,7 @@ class Exposure:
     seq: int
     time_s: float  # since the start
     world_s: float  # of the world's movers
-    pose: Pose  # of the vehicle when the shutter opens
+    pose: Pose  # of what carries the camera, the vehicle or its gimbal, when the shutter opens
     pose_at_close: Pose
     gain: float = 1.0  # brightness
 
@@ -59,7 +59,7 @@ class RenderedEyes:
         stage = self._stage
         image, truth = render(
             stage.world,
-            stage.camera,
+            stage.carried_camera,
             exposure.pose,
             exposure.world_s,
             pose_at_close=exposure.pose_at_close,
@@ -85,7 +85,7 @@ class TrueEyes:
     def see(self, exposure: Exposure, captured_s: float, selection: Selection, expected: Expected | None) -> Sight:
         """Look the truth up."""
         stage = self._stage
-        truth = observe(stage.world, stage.camera, exposure.pose, exposure.world_s)
+        truth = observe(stage.world, stage.carried_camera, exposure.pose, exposure.world_s)
         dx, dy, dh = (float(value) for value in self._rng.normal(0, self._noise_px, 3))
         if selection.box is None:
             sample = TrackSample(exposure.seq, captured_s, captured_s, stage.camera.size_hw, selection.number)

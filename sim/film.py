@@ -195,6 +195,7 @@ class _Map:
         self._plans = _plans(stage.world.scenery)
         self._tile_m = stage.world.scenery.tile_m
         self._camera = camera
+        self._has_gimbal = stage.has_gimbal
         self._wind = wind
         self._radius_m = radius_m
         self._middle_ne_m = stage.start.pos_ned_m[:2]
@@ -274,6 +275,8 @@ class _Map:
         return np.asarray(ground, np.uint8)
 
     def _footprint(self, picture: Image, pose: Pose, at: Callable[[npt.ArrayLike], Pixels]) -> None:
+        if self._has_gimbal:  # where that looks, no moment says
+            return
         outline_ne_m = footprint_ne_m(self._camera, pose)
         if not np.isfinite(outline_ne_m).all():
             return

@@ -18,6 +18,7 @@ from mscf.arrays import Image
 from sim.autopilot import FakeAutopilot, Personality, Start
 from sim.camera import Truth, observe
 from sim.eyes import Exposure, Eyes, Sight
+from sim.gimbal import Gimbal
 from sim.stages import Stage
 from sim.trace import Moment
 from sim.wind import CALM, Wind
@@ -52,6 +53,11 @@ def world_time_s(time_s: float, wait_s: float) -> float:
     if wait_s <= 0:
         return since_s
     return since_s**2 / (2 * RAMP_S) if since_s < RAMP_S else since_s - RAMP_S / 2
+
+
+def gimbal_of(stage: Stage) -> Gimbal | None:
+    """The gimbal of a stage's drone as it begins."""
+    return Gimbal(stage.camera.mount_pitch_rad, stage.start.yaw_rad) if stage.has_gimbal else None
 
 
 class Loop:
@@ -96,6 +102,7 @@ class Loop:
             seed=seed,
             wind=wind,
             parameters=parameters or {},
+            gimbal=gimbal_of(stage),
         )
         self.follower = Follower(config)
         self.faults = Faults()
@@ -138,7 +145,7 @@ class Loop:
     @property
     def truth(self) -> Truth:
         """Truth of a frame taken now."""
-        return observe(self.stage.world, self.stage.camera, self.autopilot.pose, self.world_s)
+        return observe(self.stage.world, self.stage.carried_camera, self.autopilot.camera_pose, self.world_s)
 
     def run(self, until_s: float, act: Callable[["Loop"], None] | None = None) -> None:
         """Go on until a time; `act` is called before every step of the command loop."""
@@ -162,7 +169,7 @@ class Loop:
         self._tick += 1
 
     def _expose(self, now_s: float) -> None:
-        pose = self.autopilot.pose
+        pose = self.autopilot.camera_pose
         exposure = Exposure(self._seq, now_s, self.world_s, pose, self._pose_at_close(pose), self._gain(now_s))
         captured_s = OUR_CLOCK_S + now_s + self._latency_s
         if self.faults.is_camera_frozen and self._exposure is not None:
@@ -174,13 +181,15 @@ class Loop:
         self._under_way.append((now_s + self._delay_s, replace(sight, sample=sample)))
 
     def _pose_at_close(self, pose: Pose) -> Pose:
-        """The vehicle's pose when the shutter closes, by its speed and yaw rate."""
+        """The camera's pose when the shutter closes, by the vehicle's speed and its own rates."""
         open_s = self.stage.camera.exposure_s
         place = [p + v * open_s for p, v in zip(pose.pos_ned_m, self.autopilot.velocity_ned_mps, strict=True)]
+        pitch_rate_radps, yaw_rate_radps = self.autopilot.camera_rates_radps
         return replace(
             pose,
             pos_ned_m=(place[0], place[1], place[2]),
-            yaw_rad=pose.yaw_rad + self.autopilot.yaw_rate_radps * open_s,
+            pitch_rad=pose.pitch_rad + pitch_rate_radps * open_s,
+            yaw_rad=pose.yaw_rad + yaw_rate_radps * open_s,
         )
 
     def _control(self, now_s: float) -> None:

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from companion.config import Config, parse
 from companion.follower import Step
 from companion.modes import Mode
@@ -20,7 +22,7 @@ from sim.external import ExternalAutopilot
 from sim.eyes import Eyes
 from sim.loop import Faults, Loop, Watcher
 from sim.px4 import Px4
-from sim.stages import Stage, stage
+from sim.stages import FORWARD_CAMERA, Stage, stage
 from sim.trace import Trace
 from sim.wind import CALM, Wind
 
@@ -32,6 +34,7 @@ ENGAGE_S = 2.0
 AGAIN_S = 1.0  # an operator who was refused tries again
 SELECT_OFFBOARD_S = 1.3  # a pilot's reaction to "select OFFBOARD"
 WAIT_S = 6.0  # until the target sets off: the longer of the two ways to engage, PX4's, takes that long
+STATION = (255, 190)  # system and component of another station
 STEADY_S = 16.0  # from here on a follower has settled
 
 
@@ -121,6 +124,7 @@ class Scenario:
     acts: tuple[Act, ...] = ()
     wind: Wind = CALM
     gain: Callable[[float], float] = lambda _: 1.0
+    engage_s: float = ENGAGE_S  # from when on the operator wants to engage
     confirms: bool = False  # the operator confirms a target that was found again late
     engages: bool = True
 
@@ -171,7 +175,7 @@ class Operator:
             self._has_engaged = True
         wants = mode is Mode.AWAITING and self._scenario.confirms
         if not self._has_engaged:
-            wants = wants or (mode is Mode.TRACKING and desk.time_s >= ENGAGE_S)
+            wants = wants or (mode is Mode.TRACKING and desk.time_s >= self._scenario.engage_s)
             external = EXTERNAL_MODE[desk.personality]
             if mode is Mode.READY:
                 self._ready_s = desk.time_s if self._ready_s is None else self._ready_s
@@ -262,6 +266,36 @@ def _ends_in_flight_mode(*modes: str) -> Callable[[Trace], float]:
     return lambda trace: float(trace.moments[-1].flight_mode in modes)
 
 
+def _off_middle(start_s: float, end_s: float, quantile: float = 0.95) -> Callable[[Trace], float]:
+    """How far the target is from the middle of the picture, as a share of its height; NaN where it is not in it."""
+
+    def figure(trace: Trace) -> float:
+        height, width = FORWARD_CAMERA.size_hw
+        boxes = [m.truth for m in trace.between(start_s, end_s)]
+        if not boxes or None in boxes:
+            return math.nan
+        off = sorted(math.dist(box.center_xy, (width / 2, height / 2)) / height for box in boxes if box is not None)
+        return off[int(quantile * (len(off) - 1))]
+
+    return figure
+
+
+def _setpoints_before(time_s: float) -> Callable[[Trace], float]:
+    return lambda trace: sum(m.setpoint_ned_mps is not None for m in trace.between(0.0, time_s))
+
+
+def _moved_before(time_s: float) -> Callable[[Trace], float]:
+    def figure(trace: Trace) -> float:
+        start, *later = trace.between(0.0, time_s)
+        return max(math.dist(start.pose.pos_ned_m, m.pose.pos_ned_m) for m in later)
+
+    return figure
+
+
+def _times_said(text: str) -> Callable[[Trace], float]:
+    return lambda trace: sum(text in line for line in trace.texts)
+
+
 def _streaming_after(time_s: float) -> Callable[[Trace], float]:
     return lambda trace: sum(m.setpoint_ned_mps is not None for m in trace.between(time_s))
 
@@ -326,6 +360,41 @@ def _pilot_mode(desk: Desk) -> None:
 
 def _mode_back(desk: Desk) -> None:
     desk.autopilot.select_mode(EXTERNAL_MODE[desk.personality])
+
+
+def _configured(system: int, component: int) -> Callable[[Desk], None]:
+    """Another station asks for the gimbal's control, or gives it up."""
+
+    def do(desk: Desk) -> None:
+        station = mavlink.MAVLink(None, srcSystem=STATION[0], srcComponent=STATION[1])
+        number = mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE
+        message = mavlink.MAVLink_command_long_message(1, 1, number, 0, system, component, -1, -1, 0, 0, 0)
+        desk.autopilot.receive(message.pack(station))
+
+    return do
+
+
+def _station_aims(pitch_rad: float, yaw_rad: float) -> Callable[[Desk], None]:
+    """Another station turns the gimbal to a direction on earth, and leaves it there."""
+
+    def do(desk: Desk) -> None:
+        station = mavlink.MAVLink(None, srcSystem=STATION[0], srcComponent=STATION[1])
+        flags = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+        q = (
+            math.cos(pitch_rad / 2) * math.cos(yaw_rad / 2),
+            -math.sin(pitch_rad / 2) * math.sin(yaw_rad / 2),
+            math.sin(pitch_rad / 2) * math.cos(yaw_rad / 2),
+            math.cos(pitch_rad / 2) * math.sin(yaw_rad / 2),
+        )
+        message = mavlink.MAVLink_gimbal_manager_set_attitude_message(1, 1, flags, 0, q, *[math.nan] * 3)
+        desk.autopilot.receive(message.pack(station))
+
+    return do
+
+
+def _select_again(desk: Desk) -> None:
+    if desk.truth.box is not None:
+        desk.commands.append(Select(desk.truth.box))
 
 
 def _cloud(time_s: float) -> float:
@@ -531,6 +600,36 @@ SCENARIOS: dict[str, Scenario] = {
             ),
             settings=_LIMITS,
             acts=(Act(20.0, "disengage", lambda desk: desk.commands.append(Disengage())),),
+        ),
+        Scenario(
+            "gimbal",
+            "a car drives past, nearly underneath: the gimbal follows it before anybody engages, another station takes "
+            "the gimbal for a while, and gets it",
+            "under",
+            40,
+            (
+                *SAFE,
+                Check("off the picture's middle before engaging, 95 %", "", _off_middle(4.0, 17.0), most=0.1),
+                Check("setpoints before engaging", "", _setpoints_before(17.0), most=0),
+                Check("moved before engaging", "m", _moved_before(17.0), most=0.3),
+                Check(
+                    "off the middle in the other station's hands, least", "", _off_middle(25.5, 30.0, 0.0), least=0.15
+                ),
+                Check("says once that it lets go", "", _times_said("Gimbal taken over"), least=1, most=1),
+                Check("off the middle after another selection, 95 %", "", _off_middle(32.0, 40.0), most=0.1),
+                Check("horizontal setpoint", "m/s", _top_setpoint_mps, most=0),
+                Check("follows at the end", "", _ends_in("following"), least=1),
+            ),
+            follow="spotlight",
+            confirms=True,
+            settings=_LIMITS + '[gimbal]\naxes = "pitch_yaw"\n',
+            engage_s=17.0,
+            acts=(
+                Act(24.0, "another station takes the gimbal", _configured(*STATION)),
+                Act(24.5, "and turns it", _station_aims(math.radians(-8.0), math.radians(-10.0))),
+                Act(28.5, "gives it up", _configured(-3, -3)),
+                Act(30.0, "selects again", _select_again),
+            ),
         ),
     )
 }

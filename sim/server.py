@@ -305,17 +305,20 @@ class RealTime:
         self._frame = max(self._frame + 1, int(self.time_s / FRAME_S))
         time.sleep(max(self._frame * FRAME_S - self.time_s, 0.0))
         with self.lock:
-            pose, velocity = self.autopilot.pose, self.autopilot.velocity_ned_mps
-            yaw_rate_radps = self.autopilot.yaw_rate_radps
+            pose, velocity = self.autopilot.camera_pose, self.autopilot.velocity_ned_mps
+            pitch_rate_radps, yaw_rate_radps = self.autopilot.camera_rates_radps
         time_s = self.time_s
         open_s = self.stage.camera.exposure_s
         moved = [p + v * open_s for p, v in zip(pose.pos_ned_m, velocity, strict=True)]
         at_close = replace(
-            pose, pos_ned_m=(moved[0], moved[1], moved[2]), yaw_rad=pose.yaw_rad + yaw_rate_radps * open_s
+            pose,
+            pos_ned_m=(moved[0], moved[1], moved[2]),
+            pitch_rad=pose.pitch_rad + pitch_rate_radps * open_s,
+            yaw_rad=pose.yaw_rad + yaw_rate_radps * open_s,
         )
         image, truth = render(
             self.stage.world,
-            self.stage.camera,
+            self.stage.carried_camera,
             pose,
             self._world_s_of(time_s),
             pose_at_close=at_close,

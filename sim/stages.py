@@ -41,6 +41,7 @@ class Stage:
     description : what the target does, in a line.
     start : of the drone at time 0, level, its nose towards the target.
     duration_s : how long the description holds.
+    has_gimbal : whether the camera is on one, which looks at the start as `camera` is mounted.
     """
 
     name: str
@@ -49,6 +50,12 @@ class Stage:
     camera: Camera
     start: Pose
     duration_s: float
+    has_gimbal: bool = False
+
+    @property
+    def carried_camera(self) -> Camera:
+        """The camera as it is mounted on what carries it: the vehicle, or the gimbal, whose axes are its own."""
+        return replace(self.camera, mount_pitch_rad=0.0) if self.has_gimbal else self.camera
 
     @property
     def target(self) -> Mover:
@@ -192,6 +199,20 @@ def _passing(name: str, seed: int) -> Stage:
     return replace(led, start=Pose((north_m, east_m, -14.0), yaw_rad=yaw_rad))
 
 
+def _under(name: str, seed: int) -> Stage:
+    motion = Motion((-60.0, LANE_M), speeds=((0.0, 4.0), (13.0, 4.0), (18.0, 2.0)))
+    led = _led(name, "drives past at 4 m/s, nearly underneath, and on at 2 m/s", seed, Mover(motion, _TARGET_BGR))
+    north_m, east_m, height_m = -30.0, 8.0, 16.0
+    away_m = math.hypot(motion.start_ne_m[0] - north_m, LANE_M - east_m)
+    yaw_rad = math.atan2(LANE_M - east_m, motion.start_ne_m[0] - north_m)
+    return replace(
+        led,
+        camera=replace(FORWARD_CAMERA, mount_pitch_rad=-math.atan2(height_m, away_m)),
+        start=Pose((north_m, east_m, -height_m), yaw_rad=yaw_rad),
+        has_gimbal=True,
+    )
+
+
 def _led(
     name: str,
     description: str,
@@ -258,6 +279,7 @@ _BUILDERS: Mapping[str, Callable[[str, int], Stage]] = MappingProxyType(
         "departure": _departure,
         "approach": _approach,
         "passing": _passing,
+        "under": _under,
     }
 )
 STAGE_NAMES: tuple[str, ...] = tuple(_BUILDERS)

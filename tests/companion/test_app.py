@@ -2,15 +2,19 @@ import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 from companion.app import MAX_BEAT_AGE_S, App
 from companion.config import parse
+from companion.flight_record import CONTROL, VIDEO
 from companion.notify import Notifier
+from companion.replay import replay
 from companion.types import Frame, Selection, TrackSample
 
 CAMERA = "[camera]\nwidth_px = 64\nheight_px = 48\nfocal_px = 60\n"
@@ -46,12 +50,13 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
 
 
 @pytest.fixture
-def make(systemd: Systemd) -> Iterator[Callable[[str], App]]:
+def make(systemd: Systemd, tmp_path: Path) -> Iterator[Callable[[str], App]]:
     """Makes applications whose threads do not run: the test is the clock, the camera and the tracker."""
     made: list[App] = []
 
     def build(text: str) -> App:
-        made.append(App(parse(CAMERA + text), Notifier(systemd.address), None))
+        record = f'[record]\nfolder = "{tmp_path / "flights"}"\nmin_free_mb = 1\n'
+        made.append(App(parse(CAMERA + text + record), Notifier(systemd.address), None))
         return made[-1]
 
     yield build
@@ -157,3 +162,70 @@ def test_the_end_of_a_file_is_the_end_of_the_run(make: Callable[[str], App], fil
     app = make(filmed)
     assert app.run() == 0
     assert app._samples.value is not None
+
+
+def recorded(tmp_path: Path) -> Path:
+    """The one record that a run has left."""
+    (folder,) = (tmp_path / "flights").iterdir()
+    return folder
+
+
+@pytest.mark.usefixtures("process")
+def test_a_run_leaves_a_record_that_decides_again_as_it_did(
+    make: Callable[[str], App], filmed: str, tmp_path: Path
+) -> None:
+    app = make(filmed + '[select]\nat_start = "centre"\ncentre_share = 0.3\n')
+    assert app.run() == 0
+    result = replay(recorded(tmp_path))
+    assert result.difference is None
+    assert result.steps > 10
+    lines = (recorded(tmp_path) / CONTROL).read_text().splitlines()
+    assert '"is":"Select"' in "".join(lines)
+    assert lines[-1].startswith('{"farewell":')
+    with av.open(str(recorded(tmp_path) / VIDEO)) as container:
+        assert sum(1 for _ in container.decode(video=0)) > 5
+
+
+@pytest.mark.usefixtures("process")
+def test_without_a_place_for_the_record_the_run_goes_on_and_the_operator_is_told(
+    make: Callable[[str], App], filmed: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "flights").write_text("a file")
+    app = make(filmed)
+    assert app.run() == 0
+    assert caplog.messages.count("Record stopped: file exists") == 1
+    assert app._samples.value is not None
+
+
+@pytest.mark.usefixtures("process")
+def test_a_recorder_that_dies_does_not_end_the_run(
+    make: Callable[[str], App], filmed: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    app = make(filmed)
+    assert app._recorder is not None
+    app._recorder._steps = None  # type: ignore[assignment]
+    app._recorder.put_step = lambda _: None  # type: ignore[method-assign]
+    assert app.run() == 0
+    assert caplog.messages.count("Record stopped: AttributeError") == 1
+
+
+@pytest.mark.usefixtures("process")
+def test_where_nothing_is_to_be_recorded_nothing_is(make: Callable[[str], App], filmed: str, tmp_path: Path) -> None:
+    app = make(filmed)
+    app = App(replace(app._config, record=replace(app._config.record, enabled=False)), Notifier(None), None)
+    assert app.run() == 0
+    assert not (tmp_path / "flights").exists()
+    assert app._record_status() == {"record": None, "record_steps_dropped": 0, "record_frames_dropped": 0}
+
+
+def test_the_status_tells_the_record_while_there_is_one(make: Callable[[str], App], tmp_path: Path) -> None:
+    app = make(udp())
+    step = app._follower.step(100.0, b"", None)
+    assert app._status(step, None, 100.0)["record"] is None
+    recorder = app._recorder
+    assert recorder is not None
+    recorder.folder = tmp_path / "flights" / "x"
+    recorder.steps_dropped, recorder.frames_dropped = 2, 3
+    status = app._status(step, None, 100.0)
+    assert status["record"] == str(tmp_path / "flights" / "x")
+    assert (status["record_steps_dropped"], status["record_frames_dropped"]) == (2, 3)

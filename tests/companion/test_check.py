@@ -134,12 +134,13 @@ SIGNS = {
 }
 
 
+@pytest.mark.parametrize("axes", ["none", "pitch_yaw"])
 @pytest.mark.parametrize("mode", SIGNS)
-def test_the_signs_are_those_of_the_flight_controller(mode: str) -> None:
+def test_the_signs_are_those_of_the_flight_controller(mode: str, axes: str) -> None:
     out = StringIO()
     pitch = "-90" if mode == "overhead" else "-30"
     camera = f"[camera]\nwidth_px = 640\nheight_px = 480\nfocal_px = 600\nmount_pitch_deg = {pitch}\n"
-    print_signs(parse(f'{camera}[follow]\nmode = "{mode}"'), out)
+    print_signs(parse(f'{camera}[follow]\nmode = "{mode}"\n[gimbal]\naxes = "{axes}"'), out)
     lines = out.getvalue().splitlines()[1:]
     assert [line.split()[1] for line in lines] == ["left", "right", "above", "below", "near", "far"]
     for line, wanted in zip(lines, SIGNS[mode], strict=True):

@@ -484,3 +484,52 @@ def test_of_a_backlog_the_newest_is_read() -> None:
     assert len(events) < 2000
     assert isinstance(events[-1], Attitude)
     assert events[-1].yaw_rad == pytest.approx(0.4999)
+
+
+# ----------------------------------------------------------------------------------------------- time, asked
+def asked(codec: Ours, now_s: float) -> int:
+    """The `ts1` of our question."""
+    codec.drain()
+    codec.send_time_request(now_s)
+    (message,) = parsed(codec.drain())
+    assert (message.get_type(), message.tc1) == ("TIMESYNC", 0)
+    return int(message.ts1)
+
+
+def test_whoever_asks_is_told_our_time_in_ns_with_the_question_mirrored() -> None:
+    codec = Ours()
+    assert codec.hear(Sender(255, 190)(mavlink.MAVLink_timesync_message(0, 777)), 12.5) == []
+    (message,) = parsed(codec.drain())
+    assert (message.get_type(), message.tc1, message.ts1) == ("TIMESYNC", 12_500_000_000, 777)
+    assert message.get_srcComponent() == 191
+
+
+def test_a_flood_of_questions_is_answered_four_times_a_read() -> None:
+    codec, _ = paired()
+    questions = Sender(255, 190)(*[mavlink.MAVLink_timesync_message(0, k) for k in range(1, 100)])
+    for _ in range(2):
+        codec.hear(questions, 12.5)
+        assert [message.ts1 for message in parsed(codec.drain())] == [1, 2, 3, 4]
+
+
+def test_nobody_is_asked_before_an_autopilot_is_there() -> None:
+    codec = Ours()
+    codec.send_time_request(12.5)
+    assert codec.drain() == b""
+
+
+@pytest.mark.parametrize(
+    ("system", "component", "is_believed"), [(VEHICLE, 1, True), (VEHICLE, 42, False), (9, 1, False), (255, 190, False)]
+)
+def test_only_the_autopilots_answers_move_its_clock(system: int, component: int, is_believed: bool) -> None:  # noqa: FBT001
+    """The fastest message is 8 ms old and our questions take as long: the autopilot is asked five times."""
+    codec, sender = paired()
+    other = Sender(system, component)
+    for k in range(5):
+        now_s = 100.0 + k
+        codec.hear(sender(attitude(4992 + 1000 * k)), now_s)
+        answer = mavlink.MAVLink_timesync_message(5_008_000_000 + k * 10**9, asked(codec, now_s))
+        assert codec.hear(other(answer), now_s + 0.05) == []
+    (event,) = codec.hear(sender(attitude(9992)), 105.0)
+    assert isinstance(event, Attitude)
+    assert event.time_s == pytest.approx(104.992 if is_believed else 105.0, abs=1e-4)

@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 import companion
-from companion.config import Config, _cross_checks, _section, parse, read, warnings
+from companion.config import Config, _cross_checks, _section, parse, read, warnings, without_passwords
 from companion.errors import ConfigError
 
 EXAMPLES = sorted((Path(companion.__file__).parent / "examples").glob("*.toml"))
@@ -338,3 +338,18 @@ def test_an_example_is_valid_safe_and_without_warning(path: Path) -> None:
     }
     # what every user has to set is set; all else is as it would be without the line
     assert changed == {"camera.source", "camera.horizontal_fov_deg", "camera.mount_pitch_deg", "link.device"}
+
+
+@pytest.mark.parametrize(
+    ("uri", "kept"),
+    [
+        ("rtsp://user:secret@10.0.0.2/video", "rtsp://10.0.0.2/video"),
+        ("rtsp://user:sec@ret@10.0.0.2/video", "rtsp://10.0.0.2/video"),
+        ("rtsp://10.0.0.2/video", "rtsp://10.0.0.2/video"),
+        ("udp://@:5600", "udp://@:5600"),
+        ("", ""),
+    ],
+)
+def test_what_is_kept_of_a_configuration_has_no_password_in_it(uri: str, kept: str) -> None:
+    config = parse(written({"ground": {"stream_uri": uri}}))
+    assert without_passwords(config).ground.stream_uri == kept

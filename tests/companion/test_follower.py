@@ -36,10 +36,12 @@ class Link:
         self.attitude_every = 1  # steps
         self.missing = ""  # a kind of message that does not come
         self.values: dict[str, float] = {}
+        self.ordered: list[Any] = []  # messages of a ground station, for the next step
         self.is_tracked = True
         self.steps: list[Step] = []
         self.heard: list[tuple[float, Any]] = []  # time of ours and message
         self._out = mavlink.MAVLink(BytesIO(), srcSystem=1, srcComponent=1)
+        self._ground = mavlink.MAVLink(BytesIO(), srcSystem=255, srcComponent=190)
         self._in = mavlink.MAVLink(BytesIO())
         self._asked: list[str] = []
         self._selection = 0
@@ -55,7 +57,9 @@ class Link:
         track = TrackSample(
             self.k, self.now_s - 0.02, self.now_s, SIZE_HW, self._selection, status, is_seen, AHEAD, 0.9 * is_seen
         )
-        step = self.follower.step(self.now_s, self._said(), track, commands, is_healthy=is_healthy)
+        ordered = b"".join(bytes(message.pack(self._ground)) for message in self.ordered)
+        self.ordered.clear()
+        step = self.follower.step(self.now_s, self._said() + ordered, track, commands, is_healthy=is_healthy)
         self._selection = step.control.selection.number
         self._hear(step.data)
         self.steps.append(step)
@@ -76,8 +80,8 @@ class Link:
         assert self.steps[-1].control.mode is Mode.FOLLOWING
         return self
 
-    def of(self, kind: str) -> list[tuple[float, Any]]:
-        return [(time_s, message) for time_s, message in self.heard if message.get_type() == kind]
+    def of(self, kind: str, component: int = 191) -> list[tuple[float, Any]]:
+        return [(t, m) for t, m in self.heard if m.get_type() == kind and m.get_srcComponent() == component]
 
     def asked_rates(self) -> list[float]:
         """When the attitude was asked for."""
@@ -130,10 +134,63 @@ def test_the_heartbeat_says_standby_active_or_in_trouble() -> None:
     assert set(states) == {3, 4, 5}
 
 
+def test_the_camera_has_a_heartbeat_beside_ours() -> None:
+    link = Link().engage()
+    link.run(3.0)
+    assert [t for t, _ in link.of("HEARTBEAT", 100)] == [t for t, _ in link.of("HEARTBEAT", 191)]
+    assert {(m.type, m.autopilot) for _, m in link.of("HEARTBEAT", 100)} == {(30, 8)}
+    assert {(m.type, m.autopilot) for _, m in link.of("HEARTBEAT", 191)} == {(18, 8)}
+
+
+def test_the_cameras_heartbeat_says_standby_tracking_or_in_trouble() -> None:
+    link = Link()
+    link.run(2.0)
+    link.step(Select(AHEAD))  # tracked, not engaged: ours stays on standby
+    link.run(1.2)
+    assert [m.system_status for _, m in link.of("HEARTBEAT", 100)] == [3, 3, 3, 4]
+    assert [m.system_status for _, m in link.of("HEARTBEAT", 191)] == [3, 3, 3, 3]
+    link.is_tracked = False
+    link.run(2.0)
+    assert link.of("HEARTBEAT", 100)[-1][1].system_status == 3
+    for _ in range(25):
+        link.step(is_healthy=False)
+    assert link.of("HEARTBEAT", 100)[-1][1].system_status == 5
+
+
+def test_without_a_camera_component_nothing_is_said_or_heard_as_one() -> None:
+    link = Link(FOLLOW + "[ground]\ncamera_component=0\n")
+    link.run(2.0)
+    link.ordered = [mavlink.MAVLink_command_long_message(1, 100, 512, 0, 259, *[0.0] * 6)]
+    link.run(1.0)
+    assert {m.get_srcComponent() for _, m in link.heard} == {191}
+
+
+def test_a_rectangle_from_the_ground_is_selected_and_acknowledged_when_it_is_tracked() -> None:
+    link = Link()
+    link.step()
+    link.ordered = [mavlink.MAVLink_command_long_message(1, 100, 2005, 0, 0.25, 0.5, 0.375, 0.75, 0, 0, 0)]
+    box = link.step().control.selection.box
+    assert box is not None
+    assert (box.x, box.y, box.w, box.h) == (160, 240, 80, 120)
+    assert not link.of("COMMAND_ACK", 100)
+    link.step()
+    ((time_s, ack),) = link.of("COMMAND_ACK", 100)
+    assert time_s == link.now_s
+    assert (ack.command, ack.result, ack.target_system, ack.target_component) == (2005, 0, 255, 190)
+
+
+def test_what_the_local_operator_selects_in_the_same_step_counts_more_than_a_click() -> None:
+    link = Link()
+    link.step()
+    link.ordered = [mavlink.MAVLink_command_long_message(1, 100, 2005, 0, 0.25, 0.5, 0.375, 0.75, 0, 0, 0)]
+    assert link.step(Select(AHEAD)).control.selection.box == AHEAD
+    assert [m.result for _, m in link.of("COMMAND_ACK", 100)] == [4]
+
+
 def test_telemetry_is_asked_for_with_the_first_heartbeat_and_not_again_while_it_comes() -> None:
     link = Link()
     link.is_there = False
-    assert [m.get_type() for m in link.run(2.0)] == ["HEARTBEAT"] * 2
+    assert [(m.get_type(), m.get_srcComponent()) for m in link.run(2.0)] == [("HEARTBEAT", 191), ("HEARTBEAT", 100)] * 2
     link.is_there = True
     link.run(30.0)
     asked = [m for _, m in link.of("COMMAND_LONG")]

@@ -3,11 +3,14 @@
 import re
 import shutil
 import subprocess
+import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
+
+from companion.signing import CREDENTIAL, KEY_SIZE, parse_key
 
 SYSTEMD = Path(__file__).resolve().parents[2] / "systemd"
 UNIT = SYSTEMD / "mscf-companion.service"
@@ -95,6 +98,16 @@ def test_the_check_would_see_a_program_that_is_not_there(tmp_path: Path) -> None
 
 
 @needs_analyze
+def test_the_drop_in_for_an_encrypted_key_is_as_good(program: Path, tmp_path: Path) -> None:
+    unit, readme = UNIT.read_text(), (SYSTEMD / "README.md").read_text()
+    (line,) = re.findall(r"(?m)^ *(LoadCredentialEncrypted=.+)$", readme)
+    unit = unit.replace("UMask=", f"LoadCredential=\n{line}\nUMask=")
+    done = verify(with_command_at(program, tmp_path, unit))
+    assert done.stdout + done.stderr == ""
+    assert line.split("=")[1].split(":")[0] == CREDENTIAL
+
+
+@needs_analyze
 def test_the_exposure_is_at_most_2() -> None:
     done = security(UNIT)
     assert done.returncode == 0, done.stdout
@@ -140,6 +153,7 @@ DEMANDED = {
     ("Service", "StateDirectoryMode"): ["0750"],
     ("Service", "LogsDirectory"): ["mscf-companion"],
     ("Service", "LogsDirectoryMode"): ["0750"],
+    ("Service", "LoadCredential"): ["signing-key:mscf-companion.signing-key"],
     # devices and network
     ("Service", "DevicePolicy"): ["closed"],
     ("Service", "DeviceAllow"): [f"char-{name} rw" for name in ("video4linux", "ttyAMA", "ttyACM", "ttyUSB", "ttyS")],
@@ -188,6 +202,23 @@ def test_the_unit_says(name: tuple[str, str], values: list[str]) -> None:
 )
 def test_the_unit_stays_out_of_the_trap(trap: str) -> None:
     assert not [key for _, key in UNIT_SAYS if key == trap]
+
+
+def test_a_missing_key_does_not_keep_the_service_from_starting() -> None:
+    """With a path it would (exit status 243); a name is looked for in the credential stores, and may be missing."""
+    (credential,) = UNIT_SAYS["Service", "LoadCredential"]
+    name, source = credential.split(":")
+    assert name == CREDENTIAL
+    assert "/" not in source
+
+
+def test_the_readme_makes_a_key_that_is_one() -> None:
+    readme = (SYSTEMD / "README.md").read_text()
+    (command,) = re.findall(r"python3 -c '(.+secrets.+?)'", readme)
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, check=True)
+    assert len(parse_key(done.stdout)) == KEY_SIZE
+    assert re.fullmatch(rb"[0-9a-f]{64}\n", done.stdout)
+    assert UNIT_SAYS["Service", "LoadCredential"][0].split(":")[1] in readme
 
 
 def test_the_filter_leaves_the_affinity_calls_of_blas_and_opencv() -> None:

@@ -1,0 +1,278 @@
+import json
+import math
+import platform
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink import mavutil
+
+from companion.config import Config, parse
+from companion.errors import UsageError
+from companion.flight_record import (
+    ABOUT,
+    CONFIG,
+    CONTROL,
+    FLUSH_S,
+    KIND,
+    TLOG,
+    Farewell,
+    FlightRecord,
+    Gap,
+    RecordedStep,
+    decoded,
+    encoded,
+    line_of,
+    packets_in,
+    read_about,
+    read_control,
+)
+from companion.follower import Step
+from companion.types import ControlInput, Severity
+from mscf import Box
+from sim.eyes import TrueEyes
+from sim.scenarios import SCENARIOS, fly
+
+START_S, START_US = 1000.0, 1_767_225_600_000_000
+FLIGHT = replace(SCENARIOS["straight"], duration_s=8.0)
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[Step]:
+    """Of a short flight that engages."""
+    found: list[Step] = []
+    fly(FLIGHT, "ardupilot", TrueEyes, recorder=found.append)
+    return found
+
+
+@pytest.fixture
+def config() -> Config:
+    return parse(
+        '[camera]\nfocal_px = 900\ndistortion = [0.1, -0.02, 1e-7, 0]\n[record]\nfolder = "/a \\"b\\" \\u007f"\n'
+    )
+
+
+def written(folder: Path, config: Config, steps: list[Step]) -> Path:
+    record = FlightRecord(folder, config, START_S, START_US)
+    for step in steps:
+        record.add(step)
+    record.close()
+    return folder
+
+
+def refuse(constant: str) -> None:
+    raise AssertionError(constant)
+
+
+# ------------------------------------------------------------------------------------------------ values as JSON
+@settings(max_examples=300, deadline=None)
+@given(st.from_type(ControlInput))
+def test_any_input_of_the_controller_is_rebuilt_to_the_bit_from_strict_json(inputs: ControlInput) -> None:
+    text = line_of({"": encoded(inputs)})
+    assert text.count(b"\n") == 1
+    assert repr(decoded(json.loads(text, parse_constant=refuse)[""])) == repr(inputs)
+
+
+def test_the_inputs_of_a_flight_are_rebuilt_with_their_types(steps: list[Step]) -> None:
+    for step in steps:
+        rebuilt = decoded(json.loads(line_of({"": encoded(step.inputs)}))[""])
+        assert rebuilt == step.inputs
+        assert repr(rebuilt) == repr(step.inputs)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (math.nan, '{"is":"float","name":"nan"}'),
+        (-math.inf, '{"is":"float","name":"-inf"}'),
+        (-0.0, "-0.0"),
+        (0.1, "0.1"),
+        (1, "1"),
+        (True, "true"),
+        (np.float64(0.1), "0.1"),
+        (np.array([[1.0, math.inf]]), '[[1.0,{"is":"float","name":"inf"}]]'),
+        (Severity.ERROR, '{"is":"Severity","name":"ERROR"}'),
+        (Box(0.0, 1.0, 2.0, 3.0), '{"is":"Box","x":0.0,"y":1.0,"w":2.0,"h":3.0}'),
+        ("a\n\ud800", '"a\\n\\ud800"'),
+    ],
+)
+def test_values_are_written_as(value: object, text: str) -> None:
+    assert line_of({"v": encoded(value)}).decode() == f'{{"v":{text}}}\n'
+
+
+def test_what_could_not_be_rebuilt_is_refused() -> None:
+    for value in ([1.0], {1: 2}, object(), b"bytes"):
+        with pytest.raises(TypeError, match=f"{type(value).__name__} cannot be recorded"):
+            encoded(value)
+
+
+# ------------------------------------------------------------------------------------------------ files
+def test_every_packet_is_read_back_from_the_log_as_ground_stations_read_it(
+    tmp_path: Path, config: Config, steps: list[Step]
+) -> None:
+    log = mavutil.mavlogfile(str(written(tmp_path, config, steps) / TLOG))
+    for step in steps:
+        for packet in (*step.received, *step.sent):
+            message = log.recv_msg()
+            assert bytes(message.get_msgbuf()) == packet
+            assert message._timestamp == pytest.approx(START_US / 1e6 + step.inputs.now_s - START_S, abs=2e-6)
+    assert log.recv_msg() is None
+    log.f.close()
+
+
+def test_the_log_begins_with_eight_bytes_of_microseconds(tmp_path: Path, config: Config, steps: list[Step]) -> None:
+    first = next(step for step in steps if step.received or step.sent)
+    data = (written(tmp_path, config, steps) / TLOG).read_bytes()
+    assert struct.unpack(">Q", data[:8]) == (START_US + round((first.inputs.now_s - START_S) * 1e6),)
+    assert data[8] == 0xFD
+
+
+def test_every_step_is_read_back_with_its_output_and_what_was_told(
+    tmp_path: Path, config: Config, steps: list[Step]
+) -> None:
+    entries = list(read_control(written(tmp_path, config, steps)))
+    assert len(entries) == len(steps)
+    for entry, step in zip(entries, steps, strict=True):
+        assert isinstance(entry, RecordedStep)
+        assert entry.inputs == step.inputs
+        assert line_of(entry.output) == line_of(encoded(step.control))
+        assert entry.texts == tuple(text.text for text in step.texts)
+    assert any(step.control.setpoint is not None for step in steps)
+
+
+def test_the_effective_configuration_is_there_and_nothing_that_names_the_machine(
+    tmp_path: Path, config: Config
+) -> None:
+    written(tmp_path, config, [])
+    assert parse((tmp_path / CONFIG).read_text()) == config
+    about = read_about(tmp_path)
+    assert about["record"] == KIND
+    assert about["start_utc"] == "2026-01-01T00:00:00.000+00:00"
+    assert {"mscf-companion", "python", "numpy", "opencv", "pymavlink", "system", "architecture"} <= set(about)
+    assert platform.node() not in about.values()
+
+
+def test_equal_flights_give_equal_bytes(tmp_path: Path, config: Config, steps: list[Step]) -> None:
+    again: list[Step] = []
+    fly(FLIGHT, "ardupilot", TrueEyes, recorder=again.append)
+    one, other = (written(tmp_path / name, config, flight) for name, flight in (("a", steps), ("b", again)))
+    for name in (ABOUT, CONFIG, TLOG, CONTROL):
+        assert (one / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_what_is_older_than_half_a_second_is_with_the_system(tmp_path: Path, config: Config, steps: list[Step]) -> None:
+    record = FlightRecord(tmp_path, config, START_S, START_US)
+    for step in steps:
+        record.add(step)
+        kept = [entry for entry in read_control(tmp_path) if isinstance(entry, RecordedStep)]
+        assert step.inputs.now_s - (kept[-1].inputs.now_s if kept else START_S) < FLUSH_S + 0.001
+    record.sync()
+    record.close()
+
+
+def test_half_a_line_at_the_end_is_left_out(tmp_path: Path, config: Config, steps: list[Step]) -> None:
+    path = written(tmp_path, config, steps[:3]) / CONTROL
+    data = path.read_bytes()
+    third = len(data) - len(data.splitlines(keepends=True)[-1])
+    for length in range(third, len(data)):
+        path.write_bytes(data[:length])
+        assert len(list(read_control(tmp_path))) == 2, length
+
+
+def test_gaps_and_the_farewell_have_their_own_lines(tmp_path: Path, config: Config, steps: list[Step]) -> None:
+    packets = next(step.sent for step in steps if len(step.sent) > 1)
+    record = FlightRecord(tmp_path, config, START_S, START_US)
+    record.add(steps[0])
+    record.add_gap(7)
+    record.add_farewell(1005.5, packets)
+    record.close()
+    _, gap, farewell = read_control(tmp_path)
+    assert gap == Gap(7)
+    ids = tuple(int.from_bytes(packet[7:10], "little") for packet in packets)
+    assert farewell == Farewell(1005.5, ids)
+
+
+def test_packets_that_stand_one_after_the_other_are_told_apart(steps: list[Step]) -> None:
+    packets = tuple(packet for step in steps for packet in step.sent)
+    assert packets_in(b"".join(packets)) == packets
+    signed = bytearray(packets[0])
+    signed[2] |= 1
+    assert packets_in(bytes(signed) + bytes(13) + packets[1]) == (bytes(signed) + bytes(13), packets[1])
+    assert packets_in(b"") == ()
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_of_the_system(tmp_path: Path, config: Config) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(OSError, match="taken"):
+        FlightRecord(tmp_path / "taken" / "flight", config, START_S, START_US)
+
+
+# ------------------------------------------------------------------------------------------------ what is no record
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "is no flight record: about.json: No such file or directory"),
+        (b"{", "is no flight record: about.json is not JSON"),
+        (b"\xff", "is no flight record: about.json is not JSON"),
+        (b"[]", "its about.json is of something else"),
+        (b'{"record": "other"}', "its about.json is of something else"),
+    ],
+)
+def test_what_is_no_record_is_said_in_one_line(tmp_path: Path, content: bytes | None, said: str) -> None:
+    if content is not None:
+        (tmp_path / ABOUT).write_bytes(content)
+    with pytest.raises(UsageError, match=said) as raised:
+        read_about(tmp_path)
+    assert "\n" not in str(raised.value)
+
+
+def _without_time(line: dict[str, Any]) -> None:
+    del line["inputs"]["now_s"]
+
+
+def _with_more(line: dict[str, Any]) -> None:
+    line["inputs"]["wishes"] = 1
+
+
+def _of_another(line: dict[str, Any]) -> None:
+    line["inputs"] = {"is": "Box", "x": 0, "y": 0, "w": 1, "h": 1}
+
+
+def _of_nobody(line: dict[str, Any]) -> None:
+    line["inputs"]["is"] = "os.system"
+
+
+def _without_output(line: dict[str, Any]) -> None:
+    line["output"] = 1
+
+
+@pytest.mark.parametrize("spoil", [_without_time, _with_more, _of_another, _of_nobody, _without_output])
+def test_a_line_that_is_none_of_ours_is_named(
+    tmp_path: Path, config: Config, steps: list[Step], spoil: Callable[[dict[str, Any]], None]
+) -> None:
+    path = written(tmp_path, config, steps[:2]) / CONTROL
+    first, second = path.read_bytes().splitlines(keepends=True)
+    line = json.loads(second)
+    spoil(line)
+    path.write_bytes(first + line_of(line))
+    with pytest.raises(UsageError, match=r"control\.jsonl, line 2 is damaged, or of another version") as raised:
+        list(read_control(tmp_path))
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("line", [b"\n", b"null\n", b"[]\n", b"{}\n", b"\xff\n", b"[" * 100_000 + b"\n", b"1\n"])
+def test_no_line_makes_a_reader_raise_anything_else(tmp_path: Path, line: bytes) -> None:
+    (tmp_path / CONTROL).write_bytes(line)
+    with pytest.raises(UsageError, match="line 1 is damaged"):
+        list(read_control(tmp_path))
+
+
+def test_lines_that_are_not_there_are_said(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"control\.jsonl cannot be read: No such file"):
+        list(read_control(tmp_path))

@@ -1,0 +1,323 @@
+"""The gimbal protocol against an independent instance of pymavlink, which plays the manager and everybody else."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.config import GimbalConfig, parse
+from companion.follower import Follower
+from companion.gimbal_protocol import ASK_EVERY_S, EARTH_YAW, HORIZON, VEHICLE_YAW, GimbalProtocol
+from companion.time_sync import BootClock
+from companion.types import (
+    Autopilot,
+    Claim,
+    GimbalAim,
+    GimbalAttitude,
+    GimbalControl,
+    GimbalManager,
+    GimbalOrder,
+    Holder,
+    LinkEvent,
+)
+from companion.wire import Wire
+
+VEHICLE = 7  # its system id; neither 1 nor 255, which might be defaults
+OURS = 191
+DEVICE = 2
+CAN_LOCK = mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_LOCK
+ENDLESS = mavlink.GIMBAL_MANAGER_CAP_FLAGS_SUPPORTS_INFINITE_YAW
+IN_EARTH = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
+IN_VEHICLE = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
+LOCKED = mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+NOTHING = GimbalOrder(None, None)
+
+
+class Desk:
+    """A protocol at one end of a wire, and whoever is wanted at the other."""
+
+    def __init__(self, config: GimbalConfig | None = None) -> None:
+        self.wire = Wire(VEHICLE)
+        config = config if config is not None else GimbalConfig(axes="pitch_yaw")
+        self.clock = BootClock()
+        self.protocol = GimbalProtocol(self.wire.sender(OURS), config, self.clock)
+        self._parser = mavlink.MAVLink(None)
+
+    def hear(self, *messages: Any, system: int = VEHICLE, component: int = 1, now_s: float = 50.0) -> list[LinkEvent]:
+        other = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        data = b"".join(bytes(message.pack(other)) for message in messages)
+        return [*self.protocol.receive(self.wire.receive(data), now_s)]
+
+    def told(self) -> list[Any]:
+        """What we have sent since the last call."""
+        return self._parser.parse_buffer(b"".join(self.wire.drain())) or []
+
+    def send(
+        self, order: GimbalOrder, *, autopilot: Autopilot | None = Autopilot.ARDUPILOT, now_s: float = 50.0
+    ) -> list[Any]:
+        self.protocol.send(order, autopilot, now_s)
+        return self.told()
+
+
+def information(
+    device: int = DEVICE,
+    flags: int = CAN_LOCK,
+    pitch: tuple[float, float] = (-1.5, 0.5),
+    yaw: tuple[float, float] = (-1, 2),
+) -> Any:
+    return mavlink.MAVLink_gimbal_manager_information_message(5000, flags, device, -0.5, 0.5, *pitch, *yaw)
+
+
+def status(primary: tuple[int, int], device: int = DEVICE, flags: int = 0) -> Any:
+    return mavlink.MAVLink_gimbal_manager_status_message(5000, flags, device, *primary, 0, 0)
+
+
+def attitude(
+    q: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0), flags: int = IN_EARTH, device: int = DEVICE, boot_ms: int = 5000
+) -> Any:
+    rates = (math.nan, math.nan, math.nan)
+    return mavlink.MAVLink_gimbal_device_attitude_status_message(
+        0, 0, boot_ms, flags, q, *rates, 0, gimbal_device_id=device
+    )
+
+
+def about(axis: int, angle_rad: float) -> tuple[float, ...]:
+    """Quaternion of a turn about one axis: 0 forward, 1 right, 2 down."""
+    return (math.cos(angle_rad / 2), *(math.sin(angle_rad / 2) * (k == axis) for k in range(3)))
+
+
+def introduced(config: GimbalConfig | None = None, **kinds: Any) -> Desk:
+    desk = Desk(config)
+    desk.hear(information(**kinds))
+    return desk
+
+
+# ------------------------------------------------------------------------------------- messages -> events
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        (information(), GimbalManager((-1.5, 0.5), (-1.0, 2.0), can_lock_yaw=True)),
+        (information(flags=0), GimbalManager((-1.5, 0.5), (-1.0, 2.0), can_lock_yaw=False)),
+        (information(flags=ENDLESS), GimbalManager((-1.5, 0.5), None, can_lock_yaw=False)),
+        (information(yaw=(-math.pi, math.pi)), GimbalManager((-1.5, 0.5), None, can_lock_yaw=True)),
+        # a manager that says nothing of its ends, or nonsense
+        (
+            information(pitch=(0.0, 0.0), yaw=(math.nan, 1.0)),
+            GimbalManager((-math.pi / 2, math.pi / 2), None, can_lock_yaw=True),
+        ),
+    ],
+)
+def test_the_manager_says_what_the_gimbal_can_do(message: Any, expected: GimbalManager) -> None:
+    (event,) = Desk().hear(message)
+    assert event == expected
+
+
+@pytest.mark.parametrize(
+    ("primary", "flags", "holder"),
+    [
+        ((0, 0), 0, Holder.NOBODY),
+        ((VEHICLE, OURS), 0, Holder.US),
+        ((VEHICLE, 190), 0, Holder.OTHER),  # another component of our own system
+        ((255, OURS), 0, Holder.OTHER),
+        ((255, 190), 0, Holder.OTHER),
+        ((VEHICLE, OURS), mavlink.GIMBAL_MANAGER_FLAGS_RC_EXCLUSIVE, Holder.OTHER),  # the pilot's alone
+        ((VEHICLE, OURS), mavlink.GIMBAL_MANAGER_FLAGS_RC_MIXED, Holder.US),
+    ],
+)
+def test_the_manager_says_who_has_control(primary: tuple[int, int], flags: int, holder: Holder) -> None:
+    assert introduced().hear(status(primary, flags=flags), now_s=60.0) == [GimbalControl(60.0, holder)]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("angle_rad", [-1.2, -0.3, 0.4, 1.5])
+def test_a_turn_about_an_axis_is_an_angle_of_that_axis(axis: int, angle_rad: float) -> None:
+    (event,) = introduced().hear(attitude(about(axis, angle_rad)))
+    assert isinstance(event, GimbalAttitude)
+    angles_rad = (event.roll_rad, event.pitch_rad, event.yaw_rad)
+    assert angles_rad == pytest.approx([angle_rad * (k == axis) for k in range(3)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("flags", "is_on_earth"),
+    [
+        (IN_EARTH, True),
+        (IN_EARTH | LOCKED, True),
+        (IN_VEHICLE, False),
+        (IN_VEHICLE | LOCKED, False),  # as ArduPilot while it is locked
+        (LOCKED, True),
+        (0, False),
+    ],
+)
+def test_the_flags_say_what_the_yaw_counts_from(flags: int, is_on_earth: bool) -> None:  # noqa: FBT001 - a table
+    (event,) = introduced().hear(attitude(flags=flags))
+    assert isinstance(event, GimbalAttitude)
+    assert event.is_yaw_on_earth is is_on_earth
+
+
+def test_an_attitude_is_as_old_as_its_time_since_boot_says() -> None:
+    desk = introduced()
+    desk.hear(attitude(boot_ms=5000), now_s=50.0)
+    (late,) = desk.hear(attitude(boot_ms=5100), now_s=50.3)
+    assert isinstance(late, GimbalAttitude)
+    assert late.time_s == pytest.approx(50.1, abs=1e-3)
+
+
+@pytest.mark.parametrize(("component", "device", "time_s"), [(1, DEVICE, 50.1), (154, 154, 50.3)])
+def test_a_managers_attitude_is_of_the_autopilots_clock_and_a_devices_of_its_own(
+    component: int, device: int, time_s: float
+) -> None:
+    desk = introduced(device=device)
+    desk.clock.ours_s(5.0, 50.0)  # of another message, which was not late
+    (late,) = desk.hear(attitude(device=device, boot_ms=5100), component=component, now_s=50.3)
+    assert isinstance(late, GimbalAttitude)
+    assert late.time_s == pytest.approx(time_s, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        attitude((math.nan, 0.0, 0.0, 0.0)),
+        attitude((0.0, 0.0, 0.0, 0.0)),
+        attitude((math.inf, 0.0, 0.0, 0.0)),
+        attitude(device=DEVICE + 1),
+        status((0, 0), device=DEVICE + 1),
+    ],
+)
+def test_nonsense_and_other_gimbals_are_no_event(message: Any) -> None:
+    assert introduced().hear(message) == []
+
+
+def test_a_gimbal_with_a_component_of_its_own_tells_by_that_which_it_is() -> None:
+    desk = introduced(device=154)
+    assert len(desk.hear(attitude(device=0), component=154)) == 1
+    assert desk.hear(attitude(device=0), component=155) == []
+
+
+def test_another_vehicles_gimbal_and_one_that_no_manager_has_named_are_not_heard() -> None:
+    assert Desk().hear(attitude(), status((0, 0))) == []
+    desk = introduced()
+    assert desk.hear(information(), attitude(), status((0, 0)), system=VEHICLE + 1) == []
+    assert desk.hear(information(), status((0, 0)), component=100) == []  # one manager, the first
+
+
+def test_the_configured_gimbal_is_the_one_that_counts() -> None:
+    desk = Desk(GimbalConfig(axes="pitch_yaw", device_id=3))
+    assert desk.hear(information(device=2)) == []
+    assert len(desk.hear(information(device=3), attitude(device=3))) == 2
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(0, 255), min_size=40, max_size=40), st.sampled_from([280, 281, 285]))
+def test_no_message_makes_it_raise(payload: list[int], number: int) -> None:
+    desk = introduced()
+    kind = mavlink.mavlink_map[number]
+    message = mavlink.MAVLink(None).decode(bytearray(_framed(kind, bytes(payload))))
+    desk.protocol.receive([message], 50.0)
+
+
+def _framed(kind: Any, payload: bytes) -> bytes:
+    """A MAVLink 2 frame of any payload, from the vehicle's autopilot."""
+    payload = payload[: kind.unpacker.size]
+    number = kind.id
+    body = bytes([len(payload), 0, 0, 0, VEHICLE, 1, number & 255, number >> 8 & 255, 0]) + payload
+    crc = mavlink.x25crc(body)
+    crc.accumulate(bytes([kind.crc_extra]))
+    return bytes([0xFD]) + body + crc.crc.to_bytes(2, "little")
+
+
+# ------------------------------------------------------------------------------------- orders -> messages
+EARTH = GimbalAim(-0.5, 1.2, is_yaw_on_earth=True)
+NOSE = GimbalAim(-0.5, 0.3, is_yaw_on_earth=False)
+
+
+@pytest.mark.parametrize(("aim", "flags"), [(EARTH, HORIZON | EARTH_YAW), (NOSE, HORIZON | VEHICLE_YAW)])
+def test_ardupilot_is_told_angles_and_no_rates(aim: GimbalAim, flags: int) -> None:
+    (message,) = (m for m in introduced().send(GimbalOrder(None, aim)) if m.get_type().startswith("GIMBAL"))
+    assert message.get_type() == "GIMBAL_MANAGER_SET_PITCHYAW"
+    assert (message.target_system, message.target_component, message.gimbal_device_id) == (VEHICLE, 1, 0)
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (VEHICLE, OURS)
+    assert (message.pitch, message.yaw) == pytest.approx((aim.pitch_rad, aim.yaw_rad))
+    assert math.isnan(message.pitch_rate)
+    assert math.isnan(message.yaw_rate)
+    assert message.flags == flags
+
+
+@pytest.mark.parametrize(("aim", "flags"), [(EARTH, HORIZON | EARTH_YAW), (NOSE, HORIZON | VEHICLE_YAW)])
+def test_px4_is_told_an_attitude_which_is_all_that_it_reads(aim: GimbalAim, flags: int) -> None:
+    sent = introduced().send(GimbalOrder(None, aim), autopilot=Autopilot.PX4)
+    (message,) = (m for m in sent if m.get_type().startswith("GIMBAL"))
+    assert message.get_type() == "GIMBAL_MANAGER_SET_ATTITUDE"
+    w, x, y, z = message.q
+    forward = (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
+    flat = math.cos(aim.pitch_rad)
+    wanted = (flat * math.cos(aim.yaw_rad), flat * math.sin(aim.yaw_rad), -math.sin(aim.pitch_rad))
+    np.testing.assert_allclose(forward, wanted, atol=1e-6)
+    assert 2 * (y * z + w * x) == pytest.approx(0.0, abs=1e-6)  # no roll
+    assert all(math.isnan(getattr(message, f"angular_velocity_{axis}")) for axis in "xyz")
+    assert message.flags == flags
+
+
+@pytest.mark.parametrize(("claim", "wanted"), [(Claim.TAKE, (VEHICLE, OURS)), (Claim.RELEASE, (-3, -3))])
+def test_control_is_asked_for_and_given_up_without_touching_the_secondary(
+    claim: Claim, wanted: tuple[int, int]
+) -> None:
+    sent = introduced(GimbalConfig(axes="pitch", device_id=DEVICE)).send(GimbalOrder(claim, None))
+    (command,) = (m for m in sent if m.command == mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE)
+    assert (command.param1, command.param2) == wanted
+    assert (command.param3, command.param4) == (-1, -1)
+    assert command.param7 == DEVICE
+    assert (command.target_system, command.target_component) == (VEHICLE, 1)
+
+
+def test_at_the_end_control_is_given_up_where_we_have_it() -> None:
+    desk = introduced()
+    for primary, count in (((0, 0), 0), ((255, 190), 0), ((VEHICLE, OURS), 1)):
+        desk.hear(status(primary))
+        desk.protocol.release()
+        assert [m.param1 for m in desk.told()] == [-3.0] * count
+
+
+def asked(desk: Desk, now_s: float) -> list[int]:
+    """Messages that are asked for."""
+    return [round(m.param1) for m in desk.send(NOTHING, now_s=now_s)]
+
+
+def test_what_does_not_come_is_asked_for_again_and_what_comes_is_not() -> None:
+    desk = Desk()
+    assert asked(desk, 50.0) == [280, 281, 285]
+    assert asked(desk, 50.1) == []
+    assert asked(desk, 50.0 + ASK_EVERY_S) == [280, 281, 285]
+    desk.hear(information())
+    for k in range(60):
+        desk.hear(attitude(boot_ms=5000 + 33 * k))
+    assert asked(desk, 50.0 + 2 * ASK_EVERY_S) == [281]
+    for _ in range(10):
+        desk.hear(status((0, 0)))
+    assert asked(desk, 50.0 + 3 * ASK_EVERY_S) == [285]
+
+
+def test_nothing_is_sent_before_an_autopilot_is_there_nor_aimed_before_a_manager_is() -> None:
+    assert introduced().send(GimbalOrder(Claim.TAKE, EARTH), autopilot=None) == []
+    assert not any(m.get_type().startswith("GIMBAL") for m in Desk().send(GimbalOrder(None, EARTH)))
+
+
+def test_without_a_gimbal_in_the_configuration_it_is_deaf_and_silent() -> None:
+    desk = Desk(GimbalConfig())
+    assert desk.hear(information(), status((VEHICLE, OURS)), attitude()) == []
+    assert desk.send(GimbalOrder(Claim.TAKE, EARTH)) == []
+    desk.protocol.release()
+    assert desk.told() == []
+
+
+def test_the_application_gives_the_gimbal_up_when_it_ends() -> None:
+    follower = Follower(parse('[camera]\nfocal_px=500\n[gimbal]\naxes="pitch_yaw"\n'))
+    other = mavlink.MAVLink(None, srcSystem=VEHICLE, srcComponent=1)
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
+    data = b"".join(bytes(m.pack(other)) for m in (heartbeat, information(), status((VEHICLE, OURS))))
+    follower.step(50.0, data, None)
+    messages = mavlink.MAVLink(None).parse_buffer(follower.farewell(50.1)) or []
+    assert [m.param1 for m in messages if m.get_type() == "COMMAND_LONG"] == [-3.0]
