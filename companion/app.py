@@ -1,14 +1,17 @@
 """The application: builds the objects, starts the threads, runs the command loop.
 
 Three threads: capture, vision, and the main one with the command loop. They meet in `Latest` only. One that dies
-ends the process, which systemd restarts, disengaged.
+ends the process, which systemd restarts, disengaged. A fourth one records; nobody waits for it, and the flight goes on
+without it.
 """
 
 import logging
+import os
 import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from types import FrameType
 from typing import Any
@@ -16,10 +19,13 @@ from typing import Any
 from companion.capture import Capture
 from companion.config import Config
 from companion.control_socket import ControlSocket
+from companion.flight_record import packets_in
 from companion.follower import Follower, Step
 from companion.latest import Latest
 from companion.link import Link
 from companion.notify import Notifier
+from companion.recorder import Recorder, flights_folder
+from companion.signing import keeper_from
 from companion.timing import Timing
 from companion.types import Frame, Selection, Severity, TrackSample
 from companion.vision import Vision
@@ -32,6 +38,7 @@ MAX_HEALTHY_AGE_S = 0.5  # of the newest frame; an older one is a camera in trou
 MAX_BEAT_AGE_S = 3.0  # a thread that has not got round for longer is stuck
 FAREWELL_S = 0.2  # for a slow port to take the last words
 JOIN_S = 4.0  # for a thread to end; the whole end stays below the ten seconds that systemd waits
+RECORD_END_S = 1.5  # for the recorder to write what waits; what is not finished then is readable all the same
 _SWITCH_S = 0.0005  # how soon the command loop gets Python's lock from the tracker
 _TAKE_S = 0.2
 _START_MORE_S = 15.0  # by which systemd's patience is prolonged while the port is not there
@@ -49,14 +56,21 @@ Order = tuple[Selection, Expected | None]  # what to track, and where it should 
 class _VisionThread(threading.Thread):
     """Takes the newest frame, puts the newest sample."""
 
-    def __init__(self, preset: str, frames: Latest[Frame], orders: Latest[Order], samples: Latest[TrackSample]) -> None:
+    def __init__(
+        self,
+        preset: str,
+        frames: Latest[Frame],
+        orders: Latest[Order],
+        samples: Latest[TrackSample],
+        show: Callable[[Frame, TrackSample], None] | None,
+    ) -> None:
         # joined like any other, but one that is stuck in a library must not keep the process from ending
         super().__init__(name="vision", daemon=True)
         self.failure: BaseException | None = None
         self.beat: Latest[float] = Latest()
         self.stop_asked = threading.Event()
         self._vision = Vision(preset)
-        self._frames, self._orders, self._samples = frames, orders, samples
+        self._frames, self._orders, self._samples, self._show = frames, orders, samples, show
 
     def run(self) -> None:
         """Body of the thread; what kills it is kept for the main thread."""
@@ -69,6 +83,8 @@ class _VisionThread(threading.Thread):
                 selection, expected = self._orders.value or (Selection(0, None), None)
                 sample = self._vision.see(frame, selection, expected)
                 self._samples.put(replace(sample, finished_s=time.monotonic()))
+                if self._show is not None:
+                    self._show(frame, sample)
         except BaseException as error:  # the thread's top: the main thread raises it again
             self.failure = error
             raise
@@ -85,8 +101,12 @@ class App:
         self._samples: Latest[TrackSample] = Latest()
         self._stop = threading.Event()
         self._capture = Capture(config.camera, self._frames, self._stop)
-        self._vision = _VisionThread(config.tracker.preset, self._frames, self._orders, self._samples)
-        self._follower = Follower(config)
+        record = config.record
+        self._recorder = Recorder(config, flights_folder(record, os.environ)) if record.enabled else None
+        show = self._recorder.put_frame if self._recorder is not None else None
+        self._vision = _VisionThread(config.tracker.preset, self._frames, self._orders, self._samples, show)
+        self._keeper = keeper_from(config.signing, os.environ, time.time())
+        self._follower = Follower(config, self._keeper.signing if self._keeper is not None else None)
         self._link = Link(config.link.device, config.link.baud)
         self._control = control
         self._timing = Timing()
@@ -110,6 +130,8 @@ class App:
             signal.signal(number, self._on_signal)
         sys.setswitchinterval(_SWITCH_S)
         try:
+            if self._recorder is not None:
+                self._recorder.start()
             self._capture.start()
             self._vision.start()
             self._loop()
@@ -145,17 +167,24 @@ class App:
                 return
 
     def _step(self, now_s: float) -> None:
+        if self._keeper is not None:
+            self._keeper.keep(time.time())
         data = self._link.read(now_s)
         commands = self._control.poll() if self._control is not None else ()
         sample = self._samples.value
         self._timing.see(sample)
         is_fresh = sample is not None and now_s - sample.captured_s <= MAX_HEALTHY_AGE_S and not sample.fault
         is_healthy = not self._capture.fault.value and is_fresh
-        step = self._follower.step(now_s, data, sample, commands, is_healthy=is_healthy, is_sent=self._is_sent)
+        notices = self._recorder.notices() if self._recorder is not None else ()
+        step = self._follower.step(
+            now_s, data, sample, commands, is_healthy=is_healthy, is_sent=self._is_sent, notices=notices
+        )
         self._is_sent = self._link.write(step.data)
         if step.control.setpoint is not None and sample is not None:
             self._timing.add_setpoint(time.monotonic() - sample.captured_s)
         self._orders.put((step.control.selection, step.control.expected))
+        if self._recorder is not None:
+            self._recorder.put_step(step)
         self._count(now_s)
         self._log(step)
         if self._control is not None and self._control.is_asked:
@@ -174,7 +203,8 @@ class App:
         for text in step.texts:
             logger.log(_LEVELS[text.severity], "%s", text.text)
         for said in step.autopilot_texts:
-            logger.info("autopilot: %s", said.text)
+            # what comes over the link must not look like a line of its own, with a priority of its own
+            logger.info("autopilot: %s", "".join(c if c.isprintable() else "?" for c in said.text))
         mode = step.control.mode.value
         if mode != self._mode:
             logger.info("mode %s", mode)
@@ -218,6 +248,15 @@ class App:
             "setpoint_ned_mps": step.control.setpoint.velocity_ned_mps if step.control.setpoint else None,
             "yaw_rate_radps": step.control.setpoint.yaw_rate_radps if step.control.setpoint else None,
             "link_dropped_bytes": self._link.dropped_bytes,
+            **self._record_status(),
+        }
+
+    def _record_status(self) -> dict[str, Any]:
+        recorder = self._recorder
+        return {
+            "record": str(recorder.folder) if recorder is not None and recorder.is_recording else None,
+            "record_steps_dropped": recorder.steps_dropped if recorder is not None else 0,
+            "record_frames_dropped": recorder.frames_dropped if recorder is not None else 0,
         }
 
     def _notify(self, step: Step, sample: TrackSample | None, now_s: float) -> None:
@@ -247,12 +286,19 @@ class App:
     def _end(self) -> None:
         """Zero velocity, disengage, and let go of everything."""
         self._notifier.send(STOPPING="1")
-        self._link.flush(self._follower.farewell(time.monotonic()), FAREWELL_S)
+        now_s = time.monotonic()
+        farewell = self._follower.farewell(now_s)
+        self._link.flush(farewell, FAREWELL_S)
+        if self._keeper is not None:
+            self._keeper.close()
         self._stop.set()
         self._vision.stop_asked.set()
         for thread in (self._capture, self._vision):
             if thread.ident is not None:
                 thread.join(JOIN_S)
+        if self._recorder is not None:
+            self._recorder.put_farewell(now_s, packets_in(farewell))
+            self._recorder.end(RECORD_END_S)
         self._link.close()
         if self._control is not None:
             self._control.close()

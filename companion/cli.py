@@ -1,4 +1,4 @@
-"""Command `mscf-companion`: run, check, ctl, example; others, such as the simulator's, register themselves."""
+"""Command `mscf-companion`: run, check, ctl, replay, example; others, such as the simulator's, register themselves."""
 
 import argparse
 import json
@@ -16,11 +16,13 @@ from threadpoolctl import threadpool_limits
 
 from companion.app import App
 from companion.check import check_camera, check_link, describe, print_signs
-from companion.config import FILE_NAME, Config, read, warnings
+from companion.config import FILE_NAME, Config, read, warnings, without_passwords
 from companion.control_socket import ORDER_NAMES, ControlSocket, ask
 from companion.errors import CompanionError, ConfigError, UsageError
 from companion.link import check_device
 from companion.notify import Notifier
+from companion.replay import replay
+from companion.signing import read_key
 from mscf import MscfError
 from mscf.command_line import EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, EXIT_USAGE, Parser, box
 
@@ -86,6 +88,15 @@ def _parser(words: Sequence[str]) -> Parser:
     ctl.add_argument("--json", action="store_true", help="print the whole answer")
     ctl.set_defaults(run=_ctl)
 
+    again = commands.add_parser(
+        "replay",
+        help="decide a recorded flight again, and compare",
+        description="Run the recorded inputs of a flight through the controller and compare every output to the bit. "
+        "Exit status 1 where one differs, or where steps are missing.",
+    )
+    again.add_argument("folder", type=Path, metavar="DIR", help="the folder of the flight record")
+    again.set_defaults(run=_replay)
+
     example = commands.add_parser(
         "example", help="print a complete commented configuration", description="Print an example configuration."
     )
@@ -111,6 +122,7 @@ def _config(path: Path) -> Config:
         check_device(config.link.device)
     except UsageError as error:  # in a file it is a wrong configuration: starting again does not mend it
         raise ConfigError(f"{path}: link.device: {error}") from error
+    read_key(config.signing, os.environ)  # now rather than after the camera has been looked at
     return config
 
 
@@ -120,7 +132,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for line in warnings(config):
         logger.warning("config: %s", line)
     logger.info("mscf-companion %s, %s", version("mscf-companion"), describe(config))
-    logger.info("config %s", json.dumps(asdict(config)))
+    logger.info("config %s", json.dumps(asdict(without_passwords(config))))
     return App(config, Notifier.from_environment(), _control_socket(config.control.socket)).run()
 
 
@@ -182,7 +194,27 @@ def _in_lines(status: dict[str, object]) -> str:
         f"autopilot  {status['autopilot']}, {status['flight_mode']}, armed {status['is_armed']}, "
         f"height {status['height_m']} m, battery {status['battery_pct']} %"
     )
+    dropped = f"dropped {status['record_steps_dropped']} steps, {status['record_frames_dropped']} frames"
+    lines.append(f"record     {status['record']}, {dropped}")
     return "\n".join(lines)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    result = replay(arguments.folder)
+    if result.recorded_by is not None:
+        print(f"recorded by mscf-companion {result.recorded_by}, replayed by {version('mscf-companion')}")
+    difference = result.difference
+    if difference is not None:
+        print(
+            f"step {difference.step}, {difference.time_s:.2f} s after the first: {difference.field} "
+            f"was {difference.recorded}, is {difference.replayed}"
+        )
+        return EXIT_FAILED
+    if result.missing:
+        print(f"{result.steps} steps, all equal; the next {result.missing} were not recorded: what follows is unknown")
+        return EXIT_FAILED
+    print(f"{result.steps} steps, all equal")
+    return 0
 
 
 def _example(arguments: argparse.Namespace) -> int:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from av.container import OutputContainer
     from av.video.stream import VideoStream
 
+_MILLISECOND = Fraction(1, 1000)
+
 
 def check_writable(path: Path) -> None:
     """Fail now rather than after a long run.
@@ -80,10 +82,10 @@ def _naming(path: Path) -> Iterator[None]:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; give another place") from error
 
 
-class VideoFile:
-    """MP4 with H.264 in 4:2:0, which every browser plays."""
+class _H264File:
+    """MP4 with H.264 in 4:2:0, which every browser plays; what differs between the two kinds is handed in."""
 
-    def __init__(self, path: Path, frames_per_s: float) -> None:
+    def __init__(self, path: Path, frames_per_s: float, muxer: dict[str, str], encoder: dict[str, object]) -> None:
         """Prepare to write; the file appears with the first frame.
 
         Raises
@@ -101,6 +103,7 @@ class VideoFile:
         self._av = av
         self._path = path
         self._rate = Fraction(frames_per_s).limit_denominator(1001)
+        self._muxer, self._encoder = muxer, encoder
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
 
@@ -112,22 +115,20 @@ class VideoFile:
     ) -> None:
         self.close()
 
-    def write(self, frame: Image) -> None:
-        """Append a frame, (H, W, 3) BGR uint8; all of one size. A last odd row or column is left out.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written any more.
-        """
+    def _append(self, frame: Image, time_ms: int | None) -> None:
+        """Encode a frame at a time since the first; None: one period after the last."""
         rows, cols = frame.shape[0] // 2 * 2, frame.shape[1] // 2 * 2
         try:
             if self._container is None or self._stream is None:
-                self._container = self._av.open(str(self._path), "w", options={"movflags": "+faststart"})
+                self._container = self._av.open(str(self._path), "w", options=self._muxer)
                 self._stream = self._container.add_stream("libx264", rate=self._rate)
                 self._stream.width, self._stream.height, self._stream.pix_fmt = cols, rows, "yuv420p"
-                self._stream.options = {"preset": "veryfast", "crf": "21"}
+                self._stream.options = self._encoder
+                if time_ms is not None:
+                    self._stream.codec_context.time_base = _MILLISECOND
             picture = self._av.VideoFrame.from_ndarray(frame[:rows, :cols], format="bgr24")
+            if time_ms is not None:
+                picture.pts, picture.time_base = time_ms, _MILLISECOND
             self._container.mux(self._stream.encode(picture))
         except (OSError, self._av.FFmpegError) as error:
             self._stream = None  # flushing into what has failed once may crash FFmpeg
@@ -158,3 +159,63 @@ class VideoFile:
 
     def _error(self, error: Exception) -> OutputError:
         return OutputError(f"{self._path} cannot be written: {error}; give another place")
+
+
+class VideoFile(_H264File):
+    """A video of frames one period apart, which begins to play before it is loaded; playable once it is closed."""
+
+    def __init__(self, path: Path, frames_per_s: float) -> None:
+        super().__init__(path, frames_per_s, {"movflags": "+faststart"}, {"preset": "veryfast", "crf": "21"})
+
+    def write(self, frame: Image) -> None:
+        """Append a frame, (H, W, 3) BGR uint8; all of one size. A last odd row or column is left out.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written any more.
+        """
+        self._append(frame, None)
+
+
+class LiveVideoFile(_H264File):
+    """A video of frames as they come, cheap to encode, on the caller's thread alone.
+
+    It is in fragments of a second, each on disk when the next one begins: what ends the process, SIGKILL too, takes
+    the last fragment only.
+
+    Parameters
+    ----------
+    frames_per_s : about as many; each frame brings its own time.
+    """
+
+    def __init__(self, path: Path, frames_per_s: float) -> None:
+        muxer = {"movflags": "+frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+        encoder: dict[str, object] = {
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "crf": "26",
+            "threads": "1",
+            "g": str(max(round(frames_per_s), 1)),
+        }
+        super().__init__(path, frames_per_s, muxer, encoder)
+        self._first_s: float | None = None
+        self._last_ms = -1
+
+    def write(self, frame: Image, time_s: float) -> None:
+        """Append a frame, (H, W, 3) BGR uint8, at a time from any zero; the first one decides on the size.
+
+        One that is not later than the last is left out, and one of another size is scaled.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written any more.
+        """
+        if self._first_s is None:
+            self._first_s = time_s
+        time_ms = round(1000 * (time_s - self._first_s))
+        if time_ms <= self._last_ms:
+            return
+        self._last_ms = time_ms
+        self._append(frame, time_ms)

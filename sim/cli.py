@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 
+from companion.config import Config
 from companion.errors import UsageError
+from companion.flight_record import FlightRecord
 from companion.link import check_device
+from mscf.errors import OutputError
 from mscf.recording import VideoFile
 from sim.autopilot import Personality
 from sim.external import ExternalAutopilot
 from sim.eyes import RenderedEyes
 from sim.film import Film
-from sim.loop import Watcher
+from sim.loop import OUR_CLOCK_S, Watcher
 from sim.realtime import fly_external, fly_in_real_time
 from sim.report import FILM, PAGE, Kind, Run, folder_name, prepare_folder, write_index, write_run
 from sim.scenarios import AUTOPILOTS, DEMO, SCENARIOS, Scenario, Verdict, fly
@@ -28,11 +31,14 @@ from sim.stages import stage
 from sim.trace import Trace
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from companion.follower import Step
 
 EXIT_FAILED = 1
 EXTERNAL_BAUD = 115200  # where it is on a serial port
 STEPS_PER_S = 20  # moments a second, and frames of the video
+VIRTUAL_START_US = 1_767_225_600_000_000  # 2026-01-01 UTC: flights in virtual time all begin then
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,5 +226,17 @@ def _made(
         return fly_external(scenario, external, seed=task.seed, watcher=watch, say=_say, folder=folder)
     if task.link is not None:
         return fly_in_real_time(scenario, task.autopilot, task.link, seed=task.seed, watcher=watch, folder=folder)
-    trace, verdicts = fly(scenario, task.autopilot, RenderedEyes, seed=task.seed, watcher=watch)
+    config = scenario.config(stage(scenario.stage, 7 + task.seed))
+    with _recorded(folder, config) as recorder:
+        trace, verdicts = fly(scenario, task.autopilot, RenderedEyes, seed=task.seed, watcher=watch, recorder=recorder)
     return trace, verdicts, {}
+
+
+@contextmanager
+def _recorded(folder: Path, config: Config) -> "Iterator[Callable[[Step], None]]":
+    """What makes the flight record of a flight in virtual time, whose application has no recorder of its own."""
+    try:
+        with closing(FlightRecord(folder, config, OUR_CLOCK_S, VIRTUAL_START_US)) as record:
+            yield record.add
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written: {error.strerror or error}; give another folder") from error

@@ -19,14 +19,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from companion.config import Config
+from companion.config import Config, text_of
 from companion.errors import UsageError
 from companion.types import Deselect, Disengage, Engage, OperatorCommand, Select
 from mscf import Box
 from sim.autopilot import FakeAutopilot, Personality, Start
 from sim.camera import Truth, observe
 from sim.external import VIEW_DELAY_S, ExternalAutopilot
-from sim.loop import Faults, Watcher, world_time_s
+from sim.loop import Faults, Watcher, gimbal_of, world_time_s
 from sim.scenarios import AUTOPILOTS, WAIT_S, Operator, Scenario, Verdict
 from sim.server import CameraServer, RealTime, Shot, open_end
 from sim.stages import Stage, stage
@@ -38,6 +38,7 @@ ANSWER_S = 0.5
 BOOT_S = 15.0  # for the application to open its control socket
 USAGE_S = 5.0  # between two readings of what it takes of the machine
 END_S = 10.0  # for it to end
+RECORDS = "flights"  # folder of its flight records
 
 
 class ControlLine:
@@ -84,15 +85,7 @@ def config_text(config: Config, *, source: str, device: str, control: Path) -> s
         link=replace(config.link, device=device),
         control=replace(config.control, socket=str(control)),
     )
-    lines = []
-    for table in ends.__dataclass_fields__:
-        section = getattr(ends, table)
-        lines.append(f"[{table}]")
-        for key in section.__dataclass_fields__:
-            value = getattr(section, key)
-            value = list(value) if isinstance(value, tuple) else value
-            lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")  # TOML knows no surrogates
-    return "\n".join(lines) + "\n"
+    return text_of(ends)
 
 
 class Flight:
@@ -104,6 +97,7 @@ class Flight:
     autopilot : the fake one, or a real one on a link.
     link : udp, tcp or serial, between it and the application.
     folder : where the application's configuration, log and sockets are.
+    records : where its flight records go; None: into a folder of that one.
     extra_latency_ms : by which the picture is older than its stamp says.
     """
 
@@ -116,6 +110,7 @@ class Flight:
         link: str,
         folder: Path,
         *,
+        records: Path | None = None,
         extra_latency_ms: float = 0.0,
     ) -> None:
         self.scenario = scenario
@@ -143,8 +138,13 @@ class Flight:
         self._line = ControlLine(folder / "control.sock")
         config = scenario.config(self.stage)
         latency_ms = config.camera.latency_ms + extra_latency_ms
+        records = (folder / RECORDS if records is None else records).resolve()
         text = config_text(
-            replace(config, camera=replace(config.camera, latency_ms=latency_ms)),
+            replace(
+                config,
+                camera=replace(config.camera, latency_ms=latency_ms),
+                record=replace(config.record, folder=str(records)),
+            ),
             source=self.realtime.camera.source,
             device=self.realtime.end.device,
             control=folder / "control.sock",
@@ -166,7 +166,7 @@ class Flight:
     @property
     def truth(self) -> Truth:
         """Truth of a frame taken now."""
-        return observe(self.stage.world, self.stage.camera, self.autopilot.pose, self.realtime.world_s)
+        return observe(self.stage.world, self.stage.carried_camera, self.autopilot.camera_pose, self.realtime.world_s)
 
     @property
     def faults(self) -> Faults:
@@ -338,6 +338,7 @@ def fake_autopilot(scenario: Scenario, place: Stage, autopilot: str, seed: int =
         ),
         seed=seed,
         wind=scenario.wind,
+        gimbal=gimbal_of(place),
     )
 
 
@@ -354,12 +355,14 @@ def fly_in_real_time(
 
     Parameters
     ----------
-    folder : for the application's configuration and log; the sockets live elsewhere, as their paths must be short.
+    folder : for the application's configuration, log and flight record; the sockets live elsewhere, as their paths must
+        be short.
     """
     place = stage(scenario.stage, 7 + seed)
     fake = fake_autopilot(scenario, place, autopilot, seed)
     with tempfile.TemporaryDirectory() as temporary:
-        flight = Flight(scenario, place, fake, AUTOPILOTS[autopilot], link, Path(temporary))
+        personality, records = AUTOPILOTS[autopilot], folder / RECORDS
+        flight = Flight(scenario, place, fake, personality, link, Path(temporary), records=records)
         try:
             return _flown(flight, watcher)
         finally:
@@ -404,6 +407,7 @@ def fly_external(
                 autopilot.personality,
                 "udp",
                 Path(temporary),
+                records=folder / RECORDS,
                 extra_latency_ms=VIEW_DELAY_S * 1000,
             )
             try:
@@ -422,7 +426,8 @@ def _flown(flight: Flight, watcher: Watcher | None) -> tuple[Trace, tuple[Verdic
     finally:
         exit_status = flight.end_application()  # while its link is still there: its last words are for the autopilot
         flight.end()
-    facts = {**flight.timing, "frames_dropped": flight.status.get("frames_dropped"), **flight.usage.figures()}
+    counts = ("frames_dropped", "record_steps_dropped", "record_frames_dropped")
+    facts = {**flight.timing, **{name: flight.status.get(name) for name in counts}, **flight.usage.figures()}
     return trace, verdicts, {**facts, "exit_status": exit_status}
 
 

@@ -9,21 +9,22 @@ import io
 import json
 import math
 import os
-import platform
 import re
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
+from companion.flight_record import ABOUT, CONFIG, CONTROL, TLOG, versions
 from mscf import Box
 from mscf.html_page import escaped, html_page
 from mscf.whole_file import write_whole
 from sim.figure import check_plottable, mode_hex, mode_spans, plot_png
+from sim.realtime import RECORDS
 from sim.scenarios import Act, Verdict
 from sim.trace import Moment, Trace
 
@@ -33,8 +34,9 @@ PLOTS = "plots.png"
 VERDICT = "verdict.json"
 TRACE = "trace.csv"
 PAGE = "index.html"
+LOG = "application.log"
 
-Kind = Literal["virtual time", "real time", "external"]
+Kind = Literal["virtual time", "real time", "external", "recorded"]
 Fact = str | float | None
 
 
@@ -42,8 +44,10 @@ Fact = str | float | None
 class Run:
     """A flight that is over, and all that is told of it.
 
-    kind : virtual time, real time with the application as a process of its own, or that with an external autopilot.
-    command : the command line that flies it again.
+    kind : virtual time, real time with the application as a process of its own, that with an external autopilot, or
+        a recorded flight, of which nobody knows the truth: it has no checks and no verdict.
+    command : the command line that flies it again; that of a recorded flight makes the report again.
+    seed : None for a recorded flight.
     acts : when and what; what they do is left out, so that a run can be handed from process to process.
     facts : further figures by name, as those of timing; names carry units.
     """
@@ -53,7 +57,7 @@ class Run:
     autopilot: str
     kind: Kind
     command: str
-    seed: int
+    seed: int | None
     trace: Trace
     verdicts: tuple[Verdict, ...]
     acts: tuple[Act, ...] = ()
@@ -66,6 +70,11 @@ class Run:
     def is_passed(self) -> bool:
         """Whether every check has passed; a run without one proves nothing."""
         return bool(self.verdicts) and all(verdict.is_passed for verdict in self.verdicts)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether what only a simulator knows is known."""
+        return self.kind != "recorded"
 
     @property
     def duration_s(self) -> float:
@@ -100,8 +109,9 @@ def prepare_folder(folder: Path) -> None:
     """
     check_plottable()
     write_whole(folder / PAGE, b"")
-    for name in (PAGE, FILM, POSTER, PLOTS, VERDICT, TRACE):
+    for name in (PAGE, FILM, POSTER, PLOTS, VERDICT, TRACE, ABOUT, CONFIG, CONTROL, TLOG, LOG):
         (folder / name).unlink(missing_ok=True)
+    shutil.rmtree(folder / RECORDS, ignore_errors=True)
 
 
 def write_run(run: Run, folder: Path) -> None:
@@ -114,16 +124,32 @@ def write_run(run: Run, folder: Path) -> None:
     OutputError
         If a file cannot be written, or Matplotlib is not installed.
     """
-    plots = plot_png(f"{run.scenario}, {run.autopilot}", run.trace, run.acts)
-    write_whole(folder / PLOTS, plots)
-    write_whole(folder / TRACE, trace_csv(run.trace).encode())
+    write_whole(folder / PLOTS, plot_png(f"{run.scenario}, {run.autopilot}", run.trace, run.acts))
     write_whole(folder / VERDICT, verdict_json(run).encode())
+    write_page(run, folder)
+
+
+def write_page(run: Run, folder: Path) -> None:
+    """Write the trace and the page into a folder in which the plots are already, and the film if there is one.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    write_whole(folder / TRACE, trace_csv(run.trace, has_truth=run.has_truth).encode())
     if (folder / FILM).is_file():
         poster = _poster(folder / FILM)
         if poster is not None:
             write_whole(folder / POSTER, poster)
-    files = sorted({path.name for path in folder.iterdir() if path.is_file() and path.name[0] != "."} - {PAGE})
-    write_whole(folder / PAGE, run_page(run, files).encode())
+    write_whole(folder / PAGE, run_page(run, _files(folder)).encode())
+
+
+def _files(folder: Path) -> list[str]:
+    """What lies in a run's folder, the records of its application too."""
+    paths = [path for path in folder.rglob("*") if path.is_file() and path.name[0] != "."]
+    names = {path.relative_to(folder).as_posix() for path in paths}
+    return sorted(name for name in names - {PAGE} if "/" not in name or name.startswith(RECORDS + "/"))
 
 
 def write_index(runs: Sequence[Run], folder: Path) -> None:
@@ -171,29 +197,19 @@ def verdict_json(run: Run) -> str:
 
 def environment() -> dict[str, str | int | None]:
     """Versions and the kind of machine; nothing that names this one."""
-    try:
-        project = version("mscf-companion")
-    except PackageNotFoundError:
-        project = "not installed"
-    return {
-        "mscf-companion": project,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "opencv": cv2.__version__,
-        "system": platform.system(),
-        "architecture": platform.machine(),
-        "cores": os.cpu_count(),
-    }
+    return {**versions(), "cores": os.cpu_count()}
 
 
-def trace_csv(trace: Trace) -> str:
-    """One row a moment, units in the header; what is not known is empty."""
+def trace_csv(trace: Trace, *, has_truth: bool = True) -> str:
+    """One row a moment, units in the header; what is not known is empty, and what can never be is left out."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     names = list(_row(trace.moments[0])) if trace.moments else ["time_s"]
+    names = [name for name in names if has_truth or name not in _TRUE]
     writer.writerow(names)
     for moment in trace.moments:
-        writer.writerow("" if _finite(value) is None else value for value in _row(moment).values())
+        row = _row(moment)
+        writer.writerow("" if _finite(row[name]) is None else row[name] for name in names)
     return file.getvalue()
 
 
@@ -238,6 +254,17 @@ def _box(name: str, box: Box | None) -> dict[str, float | None]:
     return {f"{name}_{side}_px": value for side, value in zip("xywh", values, strict=True)}
 
 
+# columns that a simulator alone can fill
+_TRUE = {
+    *_axes("target", "m", (None,) * 3),
+    *_box("true_box", None),
+    "iou",
+    "visible_share",
+    "true_range_m",
+    "bearing_error_rad",
+}
+
+
 def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
@@ -270,24 +297,30 @@ td.mark { width: 1.6rem; font-weight: 700 }
 def run_page(run: Run, files: Sequence[str]) -> str:
     """The page of a run, which shows what of `files` is a film, a poster or plots and lists them all."""
     passed = sum(verdict.is_passed for verdict in run.verdicts)
+    is_passed = run.is_passed if run.has_truth else None
+    said = _passed(passed, len(run.verdicts)) if run.has_truth else ""
     parts = [
-        _header(run.scenario, f"{run.autopilot} · {run.kind} · {run.duration_s:.0f} s", is_passed=run.is_passed),
-        f"<p>{escaped(_sentence(run.description))} {_KINDS[run.kind]} {_passed(passed, len(run.verdicts))}</p>",
+        _header(run.scenario, f"{run.autopilot} · {run.kind} · {run.duration_s:.0f} s", is_passed=is_passed),
+        f"<p>{escaped(_sentence(run.description))} {_KINDS[run.kind]} {said}</p>",
     ]
     if FILM in files:
         poster = f' poster="{POSTER}"' if POSTER in files else ""
         parts.append(f'<video controls muted playsinline preload="metadata" src="{FILM}"{poster}></video>')
     else:
         parts.append('<p class="soft">No film was made of this run.</p>')
-    parts += [_modes(run.trace), "<h2>Checks</h2>", _checks(run.verdicts)]
+    parts.append(_modes(run.trace))
+    if run.has_truth:
+        parts += ["<h2>Checks</h2>", _checks(run.verdicts)]
     if PLOTS in files:
         parts += [
             "<h2>Plots</h2>",
             f'<div class="wide"><a href="{PLOTS}"><img src="{PLOTS}" alt="The run over time"></a></div>',
         ]
     parts += ["<h2>What the operator was told</h2>", _log(run.trace, run.acts)]
-    known = {**run.facts, **environment()}
-    facts = {"command": f"<code>{escaped(run.command)}</code>", "seed": str(run.seed)}
+    known = {**run.facts, **environment()} if run.has_truth else run.facts  # a record brings its own circumstances
+    facts = {"command": f"<code>{escaped(run.command)}</code>"}
+    if run.seed is not None:
+        facts["seed"] = str(run.seed)
     facts |= {name.replace("_", " "): escaped(_fact(value)) for name, value in known.items()}
     parts += [
         "<h2>Circumstances</h2>",
@@ -295,7 +328,8 @@ def run_page(run: Run, files: Sequence[str]) -> str:
     ]
     links = (f'<a href="{escaped(name)}">{escaped(name)}</a>' for name in files)
     parts += ["<h2>Files</h2>", f"<p>{' · '.join(links)}</p>"]
-    return html_page(f"{run.scenario}, {run.autopilot}: {_word(run.is_passed)}", parts, _STYLE)
+    verdict = _word(run.is_passed) if run.has_truth else run.kind
+    return html_page(f"{run.scenario}, {run.autopilot}: {verdict}", parts, _STYLE)
 
 
 def index_page(runs: Sequence[Run]) -> str:
@@ -342,6 +376,8 @@ _KINDS: dict[Kind, str] = {
     "real time": "Flown in real time, with the application as a process of its own.",
     "external": "Flown in real time by an autopilot that is not the simulator's own, with the application as a process "
     "of its own; where the vehicle is, is what the autopilot reports.",
+    "recorded": "Where the vehicle was and the range are what the autopilot reported and the application estimated; "
+    "nobody measured the truth.",
 }
 
 
@@ -391,11 +427,12 @@ def _table(rows: Iterable[str], head: Sequence[str] = (), *, is_broad: bool = Fa
     return f'<div class="wide"><table{kind}>{top}<tbody>{body}</tbody></table></div>'
 
 
-def _header(name: str, about: str, *, is_passed: bool) -> str:
-    return (
-        f'<header><div><h1>{_title(name)}</h1><div class="soft">{escaped(about)}</div></div>'
-        f'<div class="verdict {_class(is_passed)}">{_word(is_passed)}</div></header>'
-    )
+def _header(name: str, about: str, *, is_passed: bool | None) -> str:
+    """The top of a page; None: nothing was checked, nothing is said."""
+    title = f'<div><h1>{_title(name)}</h1><div class="soft">{escaped(about)}</div></div>'
+    if is_passed is None:
+        return f"<header>{title}</header>"
+    return f'<header>{title}<div class="verdict {_class(is_passed)}">{_word(is_passed)}</div></header>'
 
 
 def _sentence(text: str) -> str:

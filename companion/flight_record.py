@@ -1,0 +1,313 @@
+"""The record of a flight: a folder with all that went over the link, was given to the controller, and was decided.
+
+| file | what |
+|---|---|
+| `about.json` | that this is a record, of which versions, and when it began |
+| `config.toml` | the configuration in force, every key |
+| `flight.tlog` | MAVLink as ground stations log it: 8 bytes of microseconds since 1970, big-endian, then the packet |
+| `control.jsonl` | a line a step: `ControlInput` and `ControlOutput`, to the last bit |
+| `flight.mp4` | what the camera saw, where that is recorded |
+
+The lines are JSON: an object of ours is an object with its class in "is", an enumeration's value one with its "name", a
+tuple a list. Numbers keep every bit, and those that are not finite are spelled out. A record whose writer
+was killed ends with half a line, which readers leave out.
+"""
+
+import dataclasses
+import json
+import math
+import os
+import platform
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import Enum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, BinaryIO, get_args, get_type_hints
+
+import cv2
+import numpy as np
+
+from companion.config import FILE_NAME, Config, text_of, without_passwords
+from companion.errors import UsageError
+from companion.follower import Step
+from companion.types import ControlInput
+
+ABOUT = "about.json"
+CONFIG = FILE_NAME
+TLOG = "flight.tlog"
+CONTROL = "control.jsonl"
+VIDEO = "flight.mp4"
+FILES = (ABOUT, CONFIG, TLOG, CONTROL, VIDEO)
+KIND = "mscf-companion flight"  # what `about.json` says of itself
+FLUSH_S = 0.5  # of flight that a killed process may lose
+_STAMP = struct.Struct(">Q")
+_IS = "is"  # key of the class's name; no field is called so
+
+
+# ------------------------------------------------------------------------------------------------ values as JSON
+def encoded(value: Any) -> Any:
+    """A value of the controller's as what JSON can say, strictly.
+
+    Raises
+    ------
+    TypeError
+        If a part of it is of no kind that is known here.
+    """
+    match value:
+        case Enum():  # first: some are numbers, too
+            return {_IS: type(value).__name__, "name": value.name}
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return float(value) if math.isfinite(value) else {_IS: "float", "name": repr(float(value))}
+        case tuple():
+            return [encoded(item) for item in value]
+        case np.ndarray() | np.generic():
+            return encoded(_nested(value.tolist()))
+    if dataclasses.is_dataclass(value):
+        parts = {field.name: encoded(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {_IS: type(value).__name__, **parts}
+    raise TypeError(f"{type(value).__name__} cannot be recorded")
+
+
+def _nested(values: Any) -> Any:
+    return tuple(map(_nested, values)) if isinstance(values, list) else values
+
+
+def decoded(value: Any) -> Any:
+    """What `encoded` made the JSON from, for all that a `ControlInput` can hold.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If it is no such thing.
+    """
+    if isinstance(value, list):
+        return tuple(map(decoded, value))
+    if not isinstance(value, dict):
+        return value
+    name = value[_IS]
+    if name == "float":
+        return float(value["name"])
+    kind = _INPUT_KINDS[name]
+    if issubclass(kind, Enum):
+        return kind[value["name"]]
+    return kind(**{key: decoded(part) for key, part in value.items() if key != _IS})
+
+
+def _kinds_in(kind: Any) -> Iterator[type]:
+    """The classes and enumerations that a value of a type can be made of."""
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        yield kind
+    elif dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        yield kind
+        for part in get_type_hints(kind).values():
+            yield from _kinds_in(part)
+    for part in get_args(kind):
+        yield from _kinds_in(part)
+
+
+_INPUT_KINDS = {kind.__name__: kind for kind in _kinds_in(ControlInput)}
+
+
+def line_of(content: dict[str, Any]) -> bytes:
+    """A line of the record: the same content gives the same bytes."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+# ------------------------------------------------------------------------------------------------ writing
+class FlightRecord:
+    """Writes the record of a flight.
+
+    Parameters
+    ----------
+    folder : made if it is not there.
+    start_s : our clock at the start of the record.
+    start_us : the same instant in microseconds since 1970 UTC; the offset between both stays what it is then.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written; so do `add` and what follows.
+    """
+
+    def __init__(self, folder: Path, config: Config, start_s: float, start_us: int) -> None:
+        self.folder = folder
+        self._start_s, self._start_us = start_s, start_us
+        self._flushed_s = start_s
+        folder.mkdir(parents=True, exist_ok=True)
+        start_utc = datetime.fromtimestamp(start_us / 1e6, UTC).isoformat(timespec="milliseconds")
+        about = {"record": KIND, "start_utc": start_utc, **versions()}
+        # first of all: it makes the folder one that may be removed one day
+        (folder / ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+        (folder / CONFIG).write_text(text_of(without_passwords(config)), encoding="utf-8")
+        self._tlog: BinaryIO = (folder / TLOG).open("wb")
+        self._control: BinaryIO = (folder / CONTROL).open("wb")
+
+    def add(self, step: Step) -> None:
+        """Append a step."""
+        now_s = step.inputs.now_s
+        self._add_packets(now_s, (*step.received, *step.sent))
+        line = {"inputs": encoded(step.inputs), "output": encoded(step.control)}
+        if step.texts:
+            line["texts"] = [text.text for text in step.texts]
+        self._control.write(line_of(line))
+        if now_s - self._flushed_s >= FLUSH_S:
+            self._flushed_s = now_s
+            self.flush()
+
+    def add_gap(self, count: int) -> None:
+        """Say that so many steps are missing here."""
+        self._control.write(line_of({"missing": count}))
+
+    def add_farewell(self, now_s: float, packets: Sequence[bytes]) -> None:
+        """Append the last words, after which no step comes."""
+        self._add_packets(now_s, packets)
+        self._control.write(line_of({"farewell": encoded(now_s), "messages": [message_id(p) for p in packets]}))
+        self.flush()
+
+    def _add_packets(self, now_s: float, packets: Sequence[bytes]) -> None:
+        stamp = _STAMP.pack(self._start_us + round((now_s - self._start_s) * 1e6))
+        for packet in packets:
+            self._tlog.write(stamp + packet)
+
+    def flush(self) -> None:
+        """Hand over to the system what was added: no death of this process loses it."""
+        self._tlog.flush()
+        self._control.flush()
+
+    def sync(self) -> None:
+        """Wait until the disk has what the system has: then no loss of power loses it."""
+        for name in FILES:
+            with suppress(FileNotFoundError):
+                descriptor = os.open(self.folder / name, os.O_RDONLY)
+                try:
+                    os.fsync(descriptor)
+                finally:
+                    os.close(descriptor)
+
+    def close(self) -> None:
+        """Finish; safe to call twice, and after an error."""
+        try:
+            self._tlog.close()
+        finally:
+            self._control.close()
+
+
+def message_id(packet: bytes) -> int:
+    """Number of the message in a packet of MAVLink 2."""
+    return int.from_bytes(packet[7:10], "little")
+
+
+def packets_in(data: bytes) -> tuple[bytes, ...]:
+    """Packets of MAVLink 2 that stand one after the other: ten bytes of head, the load, two or fifteen of tail."""
+    packets = []
+    while data:
+        is_signed = data[2] & 1
+        length = 10 + data[1] + (15 if is_signed else 2)
+        packets.append(data[:length])
+        data = data[length:]
+    return tuple(packets)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computes, and the kind of machine; nothing that names this one."""
+    return {
+        "mscf-companion": _version("mscf-companion"),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "pymavlink": _version("pymavlink"),
+        "system": platform.system(),
+        "architecture": platform.machine(),
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+# ------------------------------------------------------------------------------------------------ reading
+@dataclass(frozen=True, slots=True)
+class RecordedStep:
+    """A step as it was recorded; the output as JSON, which is compared and not computed with."""
+
+    inputs: ControlInput
+    output: dict[str, Any]
+    texts: tuple[str, ...]  # what the operator was told
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Steps that were not recorded, as the writer came to nothing."""
+
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Farewell:
+    """The end of the flight by our own will."""
+
+    now_s: float
+    message_ids: tuple[int, ...]  # of the packets that were written then
+
+
+def read_about(folder: Path) -> dict[str, Any]:
+    """What a record says of itself.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds no record.
+    """
+    try:
+        about = json.loads((folder / ABOUT).read_bytes())
+    except OSError as error:
+        raise UsageError(f"{folder} is no flight record: {ABOUT}: {error.strerror}") from error
+    except ValueError as error:
+        raise UsageError(f"{folder} is no flight record: {ABOUT} is not JSON: {error}") from error
+    if not isinstance(about, dict) or about.get("record") != KIND:
+        raise UsageError(f"{folder} is no flight record: its {ABOUT} is of something else")
+    return about
+
+
+def read_control(folder: Path) -> Iterator[RecordedStep | Gap | Farewell]:
+    """The lines of a record, in order; half a line at the end is left out.
+
+    Raises
+    ------
+    UsageError
+        If the file is not there, or a line of it is none of ours.
+    """
+    path = folder / CONTROL
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, start=1):
+                if not line.endswith(b"\n"):
+                    return
+                yield _entry(line, f"{path}, line {number}")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _entry(line: bytes, place: str) -> RecordedStep | Gap | Farewell:
+    try:
+        content = json.loads(line)
+        if "missing" in content:
+            return Gap(int(content["missing"]))
+        if "farewell" in content:
+            return Farewell(float(content["farewell"]), tuple(content["messages"]))
+        inputs, output = decoded(content["inputs"]), content["output"]
+        texts = tuple(content.get("texts", ()))
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise UsageError(f"{place} is damaged, or of another version: {type(error).__name__}: {error}") from error
+    if not isinstance(inputs, ControlInput) or not isinstance(output, dict):
+        raise UsageError(f"{place} is damaged, or of another version: it holds no step")
+    return RecordedStep(inputs, output, texts)

@@ -1,0 +1,100 @@
+"""A recorded flight, decided again: the recorded inputs through a new controller, every output compared to the bit."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from companion.config import read
+from companion.controller import Controller
+from companion.errors import ConfigError, UsageError
+from companion.flight_record import CONFIG, Gap, RecordedStep, encoded, line_of, read_about, read_control, versions
+
+_STATUSTEXT = 253  # sent at the end only together with a request for a flight mode
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first thing that the controller decides otherwise than it did."""
+
+    step: int  # the first is 1
+    time_s: float  # since the first step
+    field: str
+    recorded: str
+    replayed: str
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """What came of it.
+
+    steps : that were compared and are equal.
+    missing : how many the recorder lost, after which nothing can be compared; 0: none.
+    recorded_by : version of the project; None: the one that replays.
+    """
+
+    steps: int
+    difference: Difference | None = None
+    missing: int = 0
+    recorded_by: str | None = None
+
+
+def replay(folder: Path) -> Replay:
+    """Decide a recorded flight again, up to the first difference.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds no record, or one that cannot be read.
+    """
+    recorded_by = read_about(folder).get("mscf-companion")
+    other = str(recorded_by) if recorded_by != versions()["mscf-companion"] else None
+    try:
+        controller = Controller(read(folder / CONFIG))
+    except ConfigError as error:  # that of a record is no configuration to be mended
+        raise UsageError(str(error)) from error
+    steps, start_s = 0, None
+    for entry in read_control(folder):
+        if isinstance(entry, Gap):
+            return Replay(steps, missing=entry.count, recorded_by=other)
+        if isinstance(entry, RecordedStep):
+            now_s = entry.inputs.now_s
+            start_s = now_s if start_s is None else start_s
+            found = _difference(entry.output, encoded(controller.step(entry.inputs)))
+        else:
+            now_s = entry.now_s
+            start_s = now_s if start_s is None else start_s
+            was_asked, is_asked = _STATUSTEXT in entry.message_ids, controller.shut_down() is not None
+            found = None if was_asked is is_asked else ("request at the end", str(was_asked), str(is_asked))
+        if found is not None:
+            return Replay(steps, Difference(steps + 1, now_s - start_s, found[0].lstrip("."), *found[1:]), 0, other)
+        steps += isinstance(entry, RecordedStep)
+    return Replay(steps, recorded_by=other)
+
+
+def _difference(recorded: Any, replayed: Any) -> tuple[str, str, str] | None:
+    """Name and both values of the first field that differs; None: none."""
+    # by their text: a number that is equal but not the same, as 0.0 and -0.0 or 1 and 1.0, differs
+    if line_of({"": recorded}) == line_of({"": replayed}):
+        return None
+    if isinstance(recorded, dict) and isinstance(replayed, dict):
+        shared = [name for name in recorded if name in replayed]
+        found = _first_of({f".{name}": (recorded[name], replayed[name]) for name in shared})
+        return found or ("'s fields", ", ".join(recorded), ", ".join(replayed))  # of another version
+    if isinstance(recorded, list) and isinstance(replayed, list) and len(recorded) == len(replayed):
+        return _first_of({f"[{k}]": pair for k, pair in enumerate(zip(recorded, replayed, strict=True))})
+    return "", _shown(recorded), _shown(replayed)
+
+
+def _first_of(parts: dict[str, tuple[Any, Any]]) -> tuple[str, str, str] | None:
+    for name, (recorded, replayed) in parts.items():
+        found = _difference(recorded, replayed)
+        if found is not None:
+            return name + found[0], *found[1:]
+    return None
+
+
+def _shown(value: Any) -> str:
+    """A value for the eye."""
+    if isinstance(value, dict) and value.keys() == {"is", "name"}:
+        return str(value["name"])
+    return line_of({"": value}).decode()[4:-2]
