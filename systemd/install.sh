@@ -85,7 +85,8 @@ if [ -f "$constraints" ]; then # the versions that the project was tested with
 else
     set --
 fi
-"$new/bin/python" -m pip install --quiet --disable-pip-version-check "$@" "$wheel"
+# with what encodes the video of the flight record
+"$new/bin/python" -m pip install --quiet --disable-pip-version-check "$@" "$wheel[recording]"
 # what pip and venv wrote names the folder it was built in, not the one it will run from
 grep -rlIF -- "$new" "$new/bin" "$new/pyvenv.cfg" | while IFS= read -r file; do
     [ -L "$file" ] || sed -i "s|$new|$home/venv|g" "$file"
