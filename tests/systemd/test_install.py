@@ -32,7 +32,7 @@ def stand_in(folder: Path, version: str, *, requires: str = "") -> Path:
     """A wheel with all that install.sh asks of one: the command, and the example it prints."""
     command = f'import sys\n\n\ndef main():\n    print(f"# version {version}, {{sys.argv[1:]}}")\n'
     info = f"mscf_companion-{version}.dist-info"
-    metadata = f"Metadata-Version: 2.1\nName: mscf-companion\nVersion: {version}\n"
+    metadata = f"Metadata-Version: 2.1\nName: mscf-companion\nVersion: {version}\nProvides-Extra: recording\n"
     members = {
         "stand_in.py": command,
         f"{info}/METADATA": metadata + (f"Requires-Dist: {requires}\n" if requires else ""),
