@@ -1,8 +1,8 @@
 """The application: builds the objects, starts the threads, runs the command loop.
 
 Three threads: capture, vision, and the main one with the command loop. They meet in `Latest` only. One that dies
-ends the process, which systemd restarts, disengaged. A fourth one records; nobody waits for it, and the flight goes on
-without it.
+ends the process, which systemd restarts, disengaged. Two more record, steps and video; nobody waits for them, and the
+flight goes on without them.
 """
 
 import logging
@@ -19,13 +19,14 @@ from typing import Any
 from companion.capture import Capture
 from companion.config import Config
 from companion.control_socket import ControlSocket
+from companion.flight_folders import flights_folder
 from companion.flight_record import packets_in
 from companion.follower import Follower, Step
 from companion.latest import Latest
 from companion.link import Link
 from companion.notify import Notifier
-from companion.recorder import Recorder, flights_folder
-from companion.signing import keeper_from
+from companion.recorder import Recorder
+from companion.signing_keeper import keeper_from
 from companion.timing import Timing
 from companion.types import Frame, Selection, Severity, TrackSample
 from companion.vision import Vision

@@ -6,6 +6,7 @@ pitch -> azimuth and depression; with the yaw, earth bearing. All rotations are 
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +16,8 @@ import numpy as np
 from companion.config import Config
 from companion.types import Attitude
 from mscf.arrays import Real64
+
+Quaternion = tuple[float, float, float, float]  # (w, x, y, z)
 
 HISTORY_S = 2.0  # longer than any frame is useful
 _VERTICAL = 1e-4  # cosine of a pitch at which roll and yaw are one
@@ -45,6 +48,42 @@ def angles(frame_from_body: Real64) -> tuple[float, float, float]:
         return 0.0, pitch_rad, math.atan2(-frame_from_body[0, 1], frame_from_body[1, 1])
     roll_rad = math.atan2(frame_from_body[2, 1], frame_from_body[2, 2])
     return roll_rad, pitch_rad, math.atan2(frame_from_body[1, 0], frame_from_body[0, 0])
+
+
+def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """(w, x, y, z) of `rotation`: Rz(yaw) Ry(pitch) Rx(roll)."""
+    turned = product(
+        (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2)),
+        (math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0),
+    )
+    return product(turned, (math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0))
+
+
+def product(first: Quaternion, second: Quaternion) -> Quaternion:
+    """Hamilton's product: the second rotation, then the first."""
+    a, b, c, d = first
+    w, x, y, z = second
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+
+
+def rotation_of(q: Sequence[float]) -> Real64 | None:
+    """Rotation (3, 3) of a quaternion (w, x, y, z); None where it is none."""
+    norm = math.sqrt(sum(value * value for value in q))
+    if not 0.9 < norm < 1.1:  # NaN and infinity, too
+        return None
+    w, x, y, z = (value / norm for value in q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.camera_model import CameraModel
+from companion.camera_model import CameraModel, product, quaternion
 from companion.command_protocol import Command, CommandProtocol, Result
 from companion.config import Config, stream_scheme
 from companion.controller import MAX_FRAME_AGE_S, NOTHING_SELECTED, ControlOutput
-from companion.target import ATTITUDE_SIGMA_RAD, HEIGHT_LOG_SIGMA, PLACE_TAU_S, TargetEstimate
+from companion.geo_place import HEADING_SIGMA_RAD, MAX_PLACE_AGE_S, GeoPlace, geo_place
+from companion.target import PLACE_TAU_S, TargetEstimate
 from companion.types import Deselect, OperatorCommand, Select, Selection, TrackSample
 from companion.vehicle_state import VehicleState
 from mscf import Box, TrackStatus
@@ -38,15 +39,9 @@ IDLE = mavlink.CAMERA_TRACKING_STATUS_FLAGS_IDLE
 ACTIVE = mavlink.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE
 ERROR = mavlink.CAMERA_TRACKING_STATUS_FLAGS_ERROR
 COASTING = ACTIVE | mavlink.CAMERA_TRACKING_STATUS_FLAGS_COASTING
-# as the autopilot does not tell: what a position of its receiver is worth, and a heading of its compass
-VEHICLE_SIGMA_M, VEHICLE_HEIGHT_SIGMA_M = 2.5, 5.0
-HEADING_SIGMA_RAD = math.radians(3.0)
-MAX_PLACE_AGE_S = 1.0  # of the vehicle's place on the globe, which comes five times a second
-METRES_PER_DEG = 111_319.5  # of WGS 84's equator, as both autopilots reckon
 
 _INT32_MAX = 0x7FFFFFFF  # "not given" of COMMAND_INT and "not known" of positions
 _UNKNOWN = math.nan
-_STEEP = 0.05  # cosine of the depression from which on a range says nothing of the height
 _FIRST = 1  # number of the only stream
 _NAME_BYTES = 32
 _TRACKS = frozenset({mavlink.MAV_CMD_CAMERA_TRACK_POINT, mavlink.MAV_CMD_CAMERA_TRACK_RECTANGLE})
@@ -91,25 +86,6 @@ class _Pending:
 class _Stream:
     interval_s: float | None = None  # None: not asked for
     due_s: float = -math.inf
-
-
-@dataclass(frozen=True, slots=True)
-class GeoPlace:
-    """Where the target is on the globe, at the time of the last measured frame; sigmas are standard deviations.
-
-    velocity_ne_mps : over ground; None where it is not known yet.
-    bearing_rad : from the camera to the target, from north to the east.
-    """
-
-    lat_deg: float
-    lon_deg: float
-    amsl_m: float
-    horizontal_sigma_m: float
-    vertical_sigma_m: float
-    velocity_ne_mps: tuple[float, float] | None
-    velocity_sigma_mps: float
-    distance_m: float
-    bearing_rad: float
 
 
 class CameraProtocol:
@@ -283,6 +259,8 @@ class CameraProtocol:
         self._follow_pending(control.selection)
         if control.selection.number != self._selection.number:
             self._measured_s = -math.inf
+            if self._pending is None or self._pending.number != control.selection.number:
+                self._protocol.forget(_TRACKS)  # somebody else's choice: the same box again is no retry
         self._selection = control.selection
         shown, before = self._seen(track, now_s), self._shown
         self._shown = shown
@@ -491,71 +469,6 @@ def stream_address(uri: str) -> str:
     """
     _, _, port = uri.rpartition(":")
     return port if stream_scheme(uri) in {"udp", "mpegts"} and port.isdecimal() else uri
-
-
-def geo_place(target: TargetEstimate, vehicle: VehicleState, now_s: float) -> GeoPlace | None:
-    """The target's place on the globe; None where range, position or height of the vehicle are not known.
-
-    The target is known in the autopilot's local frame, the vehicle in both frames: at the time of its place on the
-    globe, the one is as far from the other on the globe as in the local frame.
-    """
-    place, local, fix, seen = vehicle.place, vehicle.fresh_local(now_s), target.fix, target.seen
-    if place is None or local is None or fix is None or target.north is None or target.east is None:
-        return None
-    if now_s - place.time_s > MAX_PLACE_AGE_S or not math.isfinite(fix.sigma_m):
-        return None
-    gap_s = place.time_s - local.time_s
-    there_m = (target.north.value, target.east.value)
-    north_m, east_m = (there_m[k] - local.pos_ned_m[k] - gap_s * local.velocity_ned_mps[k] for k in (0, 1))
-    flat = math.cos(seen.depression_rad)
-    if flat >= _STEEP:
-        below_m = fix.range_m * math.tan(seen.depression_rad)
-        below_sigma_m = math.hypot(
-            math.tan(seen.depression_rad) * fix.sigma_m, fix.range_m / flat**2 * ATTITUDE_SIGMA_RAD
-        )
-    else:
-        height_m = vehicle.height_over_ground_m(now_s)
-        if height_m is None:
-            return None
-        below_m, below_sigma_m = height_m, height_m * HEIGHT_LOG_SIGMA
-    amsl_m = place.amsl_m - local.velocity_ned_mps[2] * (seen.time_s - place.time_s)
-    aside_m = math.hypot(fix.sigma_m, fix.range_m * HEADING_SIGMA_RAD)
-    return GeoPlace(
-        place.lat_deg + north_m / METRES_PER_DEG,
-        place.lon_deg + east_m / METRES_PER_DEG / max(math.cos(math.radians(place.lat_deg)), 1e-6),
-        amsl_m - below_m,
-        math.hypot(aside_m, VEHICLE_SIGMA_M),
-        math.hypot(below_sigma_m, VEHICLE_HEIGHT_SIGMA_M),
-        target.velocity_ne_mps,
-        # of an error of the place that comes and goes within the filter's time
-        aside_m / PLACE_TAU_S,
-        math.hypot(fix.range_m, below_m),
-        seen.bearing_rad,
-    )
-
-
-Quaternion = tuple[float, float, float, float]
-
-
-def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """(w, x, y, z) of `camera_model.rotation`: Rz(yaw) Ry(pitch) Rx(roll)."""
-    turned = product(
-        (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2)),
-        (math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0),
-    )
-    return product(turned, (math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0))
-
-
-def product(first: Quaternion, second: Quaternion) -> Quaternion:
-    """Hamilton's product: the second rotation, then the first."""
-    a, b, c, d = first
-    w, x, y, z = second
-    return (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    )
 
 
 def _share(px: float, whole_px: float) -> float:

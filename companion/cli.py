@@ -213,7 +213,8 @@ def _replay(arguments: argparse.Namespace) -> int:
     if result.missing:
         print(f"{result.steps} steps, all equal; the next {result.missing} were not recorded: what follows is unknown")
         return EXIT_FAILED
-    print(f"{result.steps} steps, all equal")
+    ending = "" if result.is_whole else "; the record breaks off there: the process was killed, or the disk was full"
+    print(f"{result.steps} steps, all equal{ending}")
     return 0
 
 

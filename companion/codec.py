@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 VELOCITY_AND_YAW_RATE = 1479
 TEXT_LENGTH = 50  # of one STATUSTEXT
 AUTOPILOT_COMPONENT = 1
+MAX_PLACE_M = 1e6  # from the local origin
+MAX_SPEED_MPS = 200.0
 _FLOAT = struct.Struct("<f")
 _MOST_ANSWERS = 4  # to TIMESYNC, a read: a flood of questions must not push the setpoint out of the port
 
@@ -204,7 +206,9 @@ class MavlinkCodec:
 
     def _local(self, message: Any, time_s: float) -> list[LinkEvent]:
         place, speed = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
-        return [LocalState(time_s, place, speed)] if all(map(math.isfinite, (*place, *speed))) else []
+        # what is farther or faster is an error, and may overflow what is computed from it; no NaN is below either
+        is_sane = all(abs(x) < MAX_PLACE_M for x in place) and all(abs(v) < MAX_SPEED_MPS for v in speed)
+        return [LocalState(time_s, place, speed)] if is_sane else []
 
     def _parameter(self, message: Any, time_s: float) -> list[LinkEvent]:
         """PX4 carries whole numbers byte by byte in the float, ArduPilot converts them."""

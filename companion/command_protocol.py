@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 # within which the same command of the same sender, with a confirmation above 0, is a retry: QGroundControl waits 3 s
 RETRY_S = 4.0
+MOST_AT_ONCE = 16  # commands that are taken in one read; MAVSDK asks for five at a time, of each component
 _MOST_KNOWN = 32  # commands that are remembered
 
 
@@ -64,10 +65,15 @@ class CommandProtocol:
     sender : of the component, `Wire.sender`.
     unrepeated : numbers of commands of which nobody gives the same one twice in a row on purpose, such as a box
         that is drawn: the same again is a retry, whatever its `confirmation`.
+    once : numbers of commands of which the same again is a retry even after it was refused.
     """
 
-    def __init__(self, sender: Any, unrepeated: frozenset[int] = frozenset()) -> None:
+    def __init__(
+        self, sender: Any, unrepeated: frozenset[int] = frozenset(), once: frozenset[int] = frozenset()
+    ) -> None:
         self._mav = sender
+        self._once = once
+        self._taken, self._taken_s = 0, -math.inf
         self._unrepeated = unrepeated
         self._known: deque[_Known] = deque(maxlen=_MOST_KNOWN)
 
@@ -82,32 +88,41 @@ class CommandProtocol:
             message.command,
             params,
             (message.get_srcSystem(), message.get_srcComponent()),
-            message.target_component == 0,
+            0 in {message.target_system, message.target_component},
             now_s,
         )
-        known = self._same(command)
-        if known is not None and known.result is None:
-            known.heard_s = now_s
+        # who asks so much at once must not keep the setpoints from leaving; what is left unanswered is asked again
+        self._taken = self._taken + 1 if now_s == self._taken_s else 1
+        self._taken_s = now_s
+        if self._taken > MOST_AT_ONCE:
             return None
         # COMMAND_INT has no such field: its retries look like new commands
         is_retry = kind == "COMMAND_LONG" and message.confirmation > 0
-        # MAVSDK and old ground stations leave it at 0
-        is_retry |= known is not None and known.result is Result.ACCEPTED and self._is_last_of_unrepeated(known)
-        if known is not None and known.result is not None and is_retry:
+        known = self._same(command)
+        if known is None:
+            if is_retry and self._is_outdated(command):
+                # neither done again nor said to be in force; who means it gives it anew
+                self._acknowledge(command, Result.TEMPORARILY_REJECTED)
+                return None
+        elif known.result is None or is_retry or self._is_unrepeated(known):
             known.heard_s = now_s
-            self._acknowledge(known.command, known.result)
+            if known.result is not None:
+                self._acknowledge(known.command, known.result)
             return None
         self._known.append(_Known(command, None, now_s))
         return command
 
+    def forget(self, numbers: frozenset[int]) -> None:
+        """Commands that are not in force any more: the same again is a new one."""
+        self._known = deque((known for known in self._known if known.command.number not in numbers), _MOST_KNOWN)
+
     def answer(self, command: Command, result: Result) -> None:
         """Acknowledge a command; one for every component that we do not know is left to those who do."""
-        if result is Result.UNSUPPORTED and command.is_broadcast:
-            return
         for known in self._known:
             if known.command is command:
                 known.result = result
-        self._acknowledge(command, result)
+        if not (result is Result.UNSUPPORTED and command.is_broadcast):
+            self._acknowledge(command, result)
 
     def _acknowledge(self, command: Command, result: Result) -> None:
         self._mav.command_ack_send(
@@ -118,22 +133,34 @@ class CommandProtocol:
         is_system = message.target_system in {0, self._mav.srcSystem}
         return is_system and message.target_component in {0, self._mav.srcComponent}
 
-    def _is_last_of_unrepeated(self, known: _Known) -> bool:
+    def _is_unrepeated(self, known: _Known) -> bool:
+        """Whether nobody gives it twice in a row; MAVSDK and old ground stations leave `confirmation` at 0."""
+        if known.command.number in self._once:
+            return True
         last = [
             other
             for other in self._known
             if other.command.sender == known.command.sender and other.command.number in self._unrepeated
         ]
-        return bool(last) and last[-1] is known
+        return known.result is Result.ACCEPTED and bool(last) and last[-1] is known
 
     def _same(self, command: Command) -> _Known | None:
-        """The last command of that number and sender, where this is the same one, and it is not long ago.
-
-        The last one: what was ordered before another order is not in force any more, and to repeat it is a new order.
-        """
+        """The last command of that number and sender, where this is the same one, and it is not long ago."""
         for known in reversed(self._known):
             if (known.command.number, known.command.sender) == (command.number, command.sender):
-                # as text: NaN is like NaN
-                is_same = repr(known.command.params) == repr(command.params)
-                return known if is_same and command.time_s - known.heard_s <= RETRY_S else None
+                return known if self._is_recent(known, command) else None
         return None
+
+    def _is_outdated(self, command: Command) -> bool:
+        """Whether there was the same one, and another of that number after it."""
+        return any(
+            (known.command.number, known.command.sender) == (command.number, command.sender)
+            and self._is_recent(known, command)
+            for known in self._known
+        )
+
+    @staticmethod
+    def _is_recent(known: _Known, command: Command) -> bool:
+        # as text: NaN is like NaN
+        is_same = repr(known.command.params) == repr(command.params)
+        return is_same and command.time_s - known.heard_s <= RETRY_S

@@ -8,6 +8,7 @@ import dataclasses
 import difflib
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -292,10 +293,10 @@ def parse(text: str) -> Config:
 
 
 def without_passwords(config: Config) -> Config:
-    """The configuration as it may be kept and shown: what stands before an @ in the video's address is left out."""
-    scheme, mark, rest = config.ground.stream_uri.partition("://")
-    host = rest.rpartition("@")[2] if scheme == "rtsp" else rest  # udp://@:5600 is an address without a name in it
-    return replace(config, ground=replace(config.ground, stream_uri=f"{scheme}{mark}{host}"))
+    """The configuration as it may be kept and shown: of the video's address, a name and a password are left out."""
+    uri = re.sub(r"(?<=://)[^/?#]+@", "", config.ground.stream_uri)  # not the bare @ of udp://@:5600
+    uri = re.sub(r"\?.*", "", uri)  # where some cameras want them
+    return replace(config, ground=replace(config.ground, stream_uri=uri))
 
 
 def text_of(config: Config) -> str:

@@ -184,8 +184,7 @@ class Controller:
         for command in inputs.commands:
             self._obey(command, now_s)
         for command in self._from_transmitter(inputs.events, now_s):
-            self._obey(command, now_s)
-            self._change(is_switch_waiting=self._state.mode is Mode.READY)
+            self._obey(command, now_s, is_waiting=self._config.rc.switch == "engage")
         for command in self._by_itself(now_s):
             self._obey(command, now_s)
         self._ladder(now_s)
@@ -380,7 +379,7 @@ class Controller:
                 self._event(Event.MISSED, is_optional=True)
         elif self._state.must_confirm and mode in {Mode.COASTING, Mode.HOLDING, Mode.SEARCHING}:
             if math.isinf(self._state.awaiting_s):  # said once: a target that blinks would flood the operator
-                self._say(Severity.NOTICE, "Target found: engage to confirm")
+                self._say(Severity.NOTICE, "Target seen: engage to confirm")
                 self._change(awaiting_s=now_s)
             self._event(Event.SEEN_LATE)
         else:
@@ -425,7 +424,8 @@ class Controller:
                 self._change(reference=relearned(state.reference, seen, height_m, dt_s))
         local = state.vehicle.fresh_local(sample.captured_s)
         self._change(target=estimate(seen, fix, local, state.target))
-        if config.landing.send_target:
+        # engaged or not: whether anything comes of it is decided by the autopilot's flight mode
+        if config.landing.send_target and sample.confidence >= config.engage.min_confidence:
             self._landing = landing_target(camera, seen, attitude, local, height_m)
 
     def _camera_at(self, attitude: Attitude) -> CameraModel | None:
@@ -470,8 +470,9 @@ class Controller:
     def _by_itself(self, now_s: float) -> tuple[OperatorCommand, ...]:
         """Engage where that is configured and nothing forbids it: once a selection, or by the switch that waits."""
         state = self._state
-        is_waiting = state.mode is Mode.READY and state.is_switch_waiting and state.switch.is_on
-        if self._config.rc.switch == "engage" and is_waiting and self._is_external():
+        has_switch = state.switch.is_on and state.vehicle.has_transmitter(now_s)  # what a lost one said counts no more
+        is_waiting = state.mode is Mode.READY and state.is_switch_waiting and has_switch
+        if is_waiting and self._is_external():
             return () if self._refusals(now_s) else (Engage(),)  # the pilot has done both: the switch, then OFFBOARD
         if not self._config.engage.auto or state.auto_done or state.mode is not Mode.TRACKING:
             return ()
@@ -479,7 +480,8 @@ class Controller:
             return ()
         return () if self._refusals(now_s) else (Engage(),)
 
-    def _obey(self, command: OperatorCommand, now_s: float) -> None:
+    def _obey(self, command: OperatorCommand, now_s: float, *, is_waiting: bool = False) -> None:
+        """Obey an order; `is_waiting`: where the flight mode is missing, it stands until that is selected."""
         state = self._state
         match command:
             case Select():
@@ -496,7 +498,7 @@ class Controller:
                 elif self._is_external() and math.isfinite(state.abandoned_s):
                     self._request = FlightMode.HOLD
             case Engage():
-                self._engage(now_s)
+                self._engage(now_s, is_waiting=is_waiting)
             case _:
                 assert_never(command)
 
@@ -528,7 +530,7 @@ class Controller:
             self._say(Severity.WARNING, "No gimbal heard: target cannot be measured")
         self._event(Event.SELECTED, is_optional=True)
 
-    def _engage(self, now_s: float) -> None:
+    def _engage(self, now_s: float, *, is_waiting: bool) -> None:
         state = self._state
         against = self._refusals(now_s)
         if state.mode is Mode.FOLLOWING:
@@ -538,9 +540,10 @@ class Controller:
         elif against == (Reason.WRONG_MODE,) and self._is_px4() and state.mode is Mode.TRACKING:
             # PX4 takes OFFBOARD only while setpoints flow: let zero ones flow until the pilot has selected it
             self._change(ready_until_s=now_s + READY_FOR_S, leave_for=FlightMode.HOLD, asked_s=-math.inf)
-            self._change(is_switch_waiting=False)  # until it is known to be the switch that ordered it
+            self._change(is_switch_waiting=is_waiting)
             self._event(Event.PREPARE)
-            self._say(Severity.NOTICE, "Ready: select OFFBOARD, then engage")
+            then = "OFFBOARD starts following" if is_waiting else "select OFFBOARD, then engage"
+            self._say(Severity.NOTICE, f"Ready: {then}")
         elif set(against) == {Reason.WRONG_MODE, Reason.RESUME_GUARD} and state.guard.heard is FlightMode.HOLD:
             # nowhere else: neither the sticks nor a way home that somebody chose are for us to end
             self._request = FlightMode.HOLD

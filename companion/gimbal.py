@@ -26,6 +26,7 @@ from companion.types import (
 
 MAX_CONTROL_AGE_S = 1.5  # of the manager's word on who has it; it is asked for five times a second
 MAX_AHEAD_S = 0.1  # of a frame before the newest attitude of the gimbal
+STEEP_RAD = math.radians(60.0)
 CLAIM_EVERY_S = 1.0  # an order whose effect does not show is given again
 MAX_PAUSE_S = 0.5  # in aiming, after which it begins from where the gimbal looks
 TAKEN_OVER = "Gimbal taken over by another station: let go"
@@ -47,7 +48,9 @@ class GimbalHistory:
         before = self._attitudes.newest
         gap_s = attitude.time_s - before.time_s if before is not None else 0.0
         turned_rad = wrapped(attitude.yaw_rad - before.yaw_rad) if before is not None else 0.0
-        rate_radps = turned_rad / gap_s if 0 < gap_s <= MAX_AHEAD_S else 0.0
+        # looking straight down, yaw and roll stand for one another: their noise is no rate
+        has_rate = 0 < gap_s <= MAX_AHEAD_S and abs(attitude.pitch_rad) < STEEP_RAD
+        rate_radps = turned_rad / gap_s if has_rate else 0.0
         self._attitudes.add(
             Attitude(attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad, rate_radps)
         )

@@ -10,10 +10,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.camera_model import angles
+from companion.camera_model import angles, quaternion, rotation_of
 from companion.codec import AUTOPILOT_COMPONENT
 from companion.config import GimbalConfig
 from companion.time_sync import BootClock
@@ -28,7 +27,6 @@ from companion.types import (
     Holder,
     LinkEvent,
 )
-from mscf.arrays import Real64
 
 ASK_EVERY_S = 2.0
 ATTITUDE_HZ = 30.0  # as frames
@@ -85,6 +83,8 @@ class GimbalProtocol:
         device, component = message.gimbal_device_id, message.get_srcComponent()
         if self._config.device_id not in {0, device} or self._manager not in {None, component}:
             return None
+        if self._manager is not None and device != self._device:  # of several the first, until we begin anew
+            return None
         self._manager, self._device = component, device
         flags = message.cap_flags
         pitch, yaw = (message.pitch_min, message.pitch_max), (message.yaw_min, message.yaw_max)
@@ -118,14 +118,17 @@ class GimbalProtocol:
         return message.get_srcComponent() in {self._device, self._manager}
 
     def _attitude(self, message: Any, now_s: float) -> LinkEvent | None:
-        ned_from_camera = _rotation_of(message.q)
+        ned_from_camera = rotation_of(message.q)
         if ned_from_camera is None:
             return None
         self._heard["GIMBAL_DEVICE_ATTITUDE_STATUS"] += 1
         boot_s = message.time_boot_ms / 1000
-        is_managers = message.get_srcComponent() == self._manager
-        clock = self._autopilot_clock if is_managers else self._device_clock
-        if clock.has_gone_back(boot_s):  # of the autopilot's the codec has taken care
+        clock = self._device_clock  # a manager that is not the autopilot counts from its own start
+        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
+            clock = self._autopilot_clock
+            if clock.has_gone_back(boot_s):  # that it began anew is for the codec to see, and to say
+                return None
+        elif clock.has_gone_back(boot_s):
             clock.reset()
         time_s = clock.ours_s(boot_s, now_s)
         return GimbalAttitude(time_s, *angles(ned_from_camera), _is_yaw_on_earth(message.flags))
@@ -166,7 +169,7 @@ class GimbalProtocol:
         flags = HORIZON | (EARTH_YAW if aim.is_yaw_on_earth else VEHICLE_YAW)
         address = (self._mav.srcSystem, self._manager, flags, self._config.device_id)
         if autopilot is Autopilot.PX4:
-            q = _quaternion(aim.pitch_rad, aim.yaw_rad)
+            q = quaternion(0.0, aim.pitch_rad, aim.yaw_rad)
             self._mav.gimbal_manager_set_attitude_send(*address, q, _NAN, _NAN, _NAN)
         else:
             self._mav.gimbal_manager_set_pitchyaw_send(*address, aim.pitch_rad, aim.yaw_rad, _NAN, _NAN)
@@ -190,24 +193,3 @@ def _is_yaw_on_earth(flags: int) -> bool:
 
 def _is_range(ends: tuple[float, float]) -> bool:
     return all(map(math.isfinite, ends)) and ends[0] < ends[1]
-
-
-def _rotation_of(q: Any) -> Real64 | None:
-    """Rotation (3, 3) of a quaternion (w, x, y, z); None where it is none."""
-    norm = math.sqrt(sum(value * value for value in q))
-    if not 0.9 < norm < 1.1:  # NaN and infinity, too
-        return None
-    w, x, y, z = (value / norm for value in q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _quaternion(pitch_rad: float, yaw_rad: float) -> tuple[float, float, float, float]:
-    """Quaternion (w, x, y, z) of a pitch and a yaw without roll."""
-    (c_p, s_p), (c_y, s_y) = ((math.cos(a / 2), math.sin(a / 2)) for a in (pitch_rad, yaw_rad))
-    return c_p * c_y, -s_p * s_y, s_p * c_y, c_p * s_y

@@ -1,9 +1,10 @@
 """Engaging from the ground by a command: MAV_CMD_USER_n to the onboard computer, where it is configured.
 
-Parameter 1 is 1 to engage and 0 to disengage. Engaging is acknowledged by what has come of it in the same step of the
-loop: ACCEPTED while following, TEMPORARILY_REJECTED where PX4 first has to be in OFFBOARD (engage again then), FAILED
-where it is refused; the status text says why. Disengaging is always accepted, from everybody: it can only make the
-vehicle stand.
+Parameter 1 is 1 to engage and 0 to disengage. Parameter 2 is free: the same command again within seconds is taken for
+a retry, whatever came of it, and a script that means it anew counts it up. Engaging is acknowledged by what has come of
+it in the same step of the loop: ACCEPTED while following, TEMPORARILY_REJECTED where PX4 first has to be in OFFBOARD
+(engage again then), FAILED where it is refused; the status text says why. Disengaging is always accepted, from
+everybody: it can only make the vehicle stand.
 """
 
 from collections.abc import Iterable
@@ -26,7 +27,7 @@ class GroundCommands:
     """
 
     def __init__(self, sender: Any, config: GroundConfig) -> None:
-        self._protocol = CommandProtocol(sender)
+        self._protocol = CommandProtocol(sender, once=frozenset({config.engage_command} - {0}))
         self._config = config
         self._engaging: list[Command] = []  # to be acknowledged after the step
 
@@ -43,7 +44,9 @@ class GroundCommands:
                 continue
             order = _ORDERS.get(command.whole(0))
             is_engaging = isinstance(order, Engage)
-            if order is None or (is_engaging and command.sender[0] not in self._config.system_ids):
+            # one for all would engage every vehicle in reach
+            may_engage = command.sender[0] in self._config.system_ids and not command.is_broadcast
+            if order is None or (is_engaging and not may_engage):
                 self._protocol.answer(command, Result.DENIED)
                 continue
             if is_engaging:

@@ -72,12 +72,14 @@ class _UdpServer:
         return data
 
     def write(self, data: bytes) -> int:
+        sent = not self._peers
         for peer in self._peers:
             try:
                 self._socket.sendto(data, peer)
             except OSError:  # full, not there, no way to it: the others are to hear it all the same
                 continue
-        return len(data)
+            sent = True
+        return len(data) if sent else 0
 
     def close(self) -> None:
         self._socket.close()

@@ -1,27 +1,27 @@
-"""The recorder: a thread between the flight and its record, which no disk and no encoder can hold up.
+"""The recorder: two threads between the flight and its record, which no disk and no encoder can hold up.
 
-What is put in waits in bounded queues; what does not fit is dropped and counted. Whatever goes wrong here ends the
-record, or the video alone, with one text for the operator, and nothing else.
+One writes the steps, one the video. What is put in waits in the bounded queue of each; what does not fit is dropped and
+counted. A thread that dies or hangs takes neither the other nor the flight with it: the operator is told, once.
 """
 
 import errno
-import itertools
-import json
 import logging
 import os
-import shutil
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from abc import abstractmethod
+from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Generic, TypeVar
 
 import cv2
 
-from companion.config import Config, RecordConfig
-from companion.flight_record import ABOUT, KIND, VIDEO, FlightRecord
+from companion.config import Config
+from companion.flight_folders import check_free, make_room, new_folder
+from companion.flight_record import VIDEO, FlightRecord
 from companion.follower import Step
 from companion.types import Frame, Severity, Text, TrackSample
 from mscf.arrays import Image
@@ -31,30 +31,20 @@ from mscf.recording import LiveVideoFile
 logger = logging.getLogger(__name__)
 MAX_STEPS = 1200  # that wait: a minute at 20 Hz
 MAX_FRAMES = 4
-NICE = 10  # of this thread alone
+NICE = 10  # of these threads alone
 TIDY_S = 5.0
-FOLDER = "mscf-companion/flights"  # below the user's own state folder
+STALLED_S = 5.0  # without anything taken; a card that is slow to sync needs a second or two
 MAX_TEXT = 50  # characters of a status text
-_MB = 1e6
 _TAKE_S = 0.1
-_SET_CLOCK_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # a clock that says less was never set
 _WORDS = {errno.ENOSPC: "disk full", errno.EDQUOT: "disk full"}
 _GOOD_BGR, _POOR_BGR, _LIGHT_BGR, _DARK_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255), (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
-
-def flights_folder(config: RecordConfig, environ: Mapping[str, str]) -> Path:
-    """Where all flights are recorded: as configured, else as systemd or the user's session says."""
-    if config.folder:
-        return Path(config.folder)
-    if environ.get("STATE_DIRECTORY"):  # systemd's; the first of several
-        return Path(environ["STATE_DIRECTORY"].split(":")[0], "flights")
-    home = environ.get("XDG_STATE_HOME") or Path(environ.get("HOME", "/tmp"), ".local", "state")  # noqa: S108 - no home
-    return Path(home, FOLDER)
+_Item = TypeVar("_Item")
 
 
-class Recorder(threading.Thread):
-    """Writes the record of one run; its folder is made when the thread starts.
+class Recorder:
+    """Writes the record of one run; its folder is made by a thread of its own.
 
     Parameters
     ----------
@@ -62,45 +52,55 @@ class Recorder(threading.Thread):
     """
 
     def __init__(self, config: Config, flights: Path) -> None:
-        # joined like any other, but one that is stuck in a disk must not keep the process from ending
-        super().__init__(name="recorder", daemon=True)
-        self.folder: Path | None = None  # of this flight, once it is there
-        self.steps_dropped = 0
-        self.frames_dropped = 0
         self._config = config
-        self._flights = flights
-        self._steps: SimpleQueue[tuple[Step, int]] = SimpleQueue()  # with how many were dropped before
-        self._frames: SimpleQueue[tuple[Frame, TrackSample]] = SimpleQueue()
         self._notices: SimpleQueue[Text] = SimpleQueue()
-        self._farewell: tuple[float, Sequence[bytes]] | None = None
-        self._stop_asked = threading.Event()
-        self._is_over = False  # nothing more is taken
-        self._has_video = config.record.video != "none"
+        self._steps = _StepWriter(config, flights, self._notices)
+        has_video = config.record.video != "none"
+        self._video = _VideoWriter(config, flights, self._notices, self._steps) if has_video else None
+        self._writers = (self._steps, self._video) if self._video is not None else (self._steps,)
         self._frame_due_s = float("-inf")
-        self._record: FlightRecord | None = None
-        self._video: LiveVideoFile | None = None
         self._mode = ""
-        self._gap = 0
-        self._tidied_s = float("-inf")
+        self._said: set[str] = set()
 
-    # ----------------------------------------------------------------------------------- for the other threads
+    @property
+    def folder(self) -> Path | None:
+        """Of this flight, once it is there."""
+        return self._steps.folder
+
     @property
     def is_recording(self) -> bool:
         """Whether steps end in the folder."""
-        return self.folder is not None and not self._is_over
+        return self.folder is not None and not self._steps.is_over
+
+    @property
+    def steps_dropped(self) -> int:
+        """How many steps found no place in the queue."""
+        return self._steps.dropped
+
+    @property
+    def frames_dropped(self) -> int:
+        """How many frames, of those that are for the video, found no place in the queue."""
+        return self._video.dropped if self._video is not None else 0
+
+    def start(self) -> None:
+        """Begin to write."""
+        for writer in self._writers:
+            writer.start()
 
     def put_step(self, step: Step) -> None:
         """Hand a step over; for the command loop, which it neither delays nor fails."""
-        if self._is_over:
-            return
-        if self._steps.qsize() >= MAX_STEPS:
-            self.steps_dropped += 1
-        else:
-            self._steps.put((step, self.steps_dropped))
+        self._mode = step.control.mode.value
+        self._steps.put((step, self._steps.dropped))
+        if self._steps.dropped:
+            self._say_once("Record behind: steps are lost")
+        if self._steps.is_stalled(step.inputs.now_s):
+            self._say_once("Record stalled")
+        if self._video is not None and self._video.is_stalled(step.inputs.now_s):
+            self._say_once("Video of the record stalled")
 
     def put_frame(self, frame: Frame, sample: TrackSample) -> None:
         """Hand over a frame with what was seen in it; for the vision thread. Most are not for the video."""
-        if self._is_over or not self._has_video:
+        if self._video is None:
             return
         period_s, captured_s = 1 / self._config.record.video_frames_per_s, frame.captured_s
         if captured_s < self._frame_due_s - period_s / 4:  # a camera is not that punctual
@@ -108,14 +108,11 @@ class Recorder(threading.Thread):
         # on a grid, so that frames that come at another rate are not thinned too much
         next_s = self._frame_due_s + period_s
         self._frame_due_s = next_s if next_s > captured_s else captured_s + period_s
-        if self._frames.qsize() >= MAX_FRAMES:
-            self.frames_dropped += 1
-        else:
-            self._frames.put((frame, sample))
+        self._video.put((frame, sample, self._mode))
 
     def put_farewell(self, now_s: float, packets: Sequence[bytes]) -> None:
         """Hand over the last words; before `end`."""
-        self._farewell = now_s, packets
+        self._steps.farewell = now_s, packets
 
     def notices(self) -> tuple[Text, ...]:
         """What the operator is to be told, since the last call."""
@@ -127,57 +124,140 @@ class Recorder(threading.Thread):
 
     def end(self, limit_s: float) -> None:
         """Write what waits, finish the video, and end; at most for a time."""
-        self._stop_asked.set()
-        if self.ident is not None:
-            self.join(limit_s)
-        self._is_over = True
+        end_s = time.monotonic() + limit_s
+        for writer in self._writers:
+            writer.stop_asked.set()
+        for writer in self._writers:
+            if writer.ident is not None:
+                writer.join(max(end_s - time.monotonic(), 0.0))
+            writer.is_over = True
 
-    # ----------------------------------------------------------------------------------- the thread
+    def _say_once(self, words: str) -> None:
+        if words not in self._said:
+            self._said.add(words)
+            self._notices.put(Text(Severity.WARNING, words))
+
+
+# ------------------------------------------------------------------------------------------------ the threads
+class _Writer(threading.Thread, Generic[_Item]):
+    """Writes what is put into its queue until it is told to stop, or something goes wrong, which it says.
+
+    Parameters
+    ----------
+    name : as the operator is to read it.
+    limit : how many items may wait.
+    """
+
+    def __init__(self, name: str, limit: int, notices: SimpleQueue[Text]) -> None:
+        # joined like any other, but one that is stuck in a disk must not keep the process from ending
+        super().__init__(name=name, daemon=True)
+        self.dropped = 0
+        self.stop_asked = threading.Event()
+        self.is_over = False  # nothing more is taken
+        self._limit = limit
+        self._notices = notices
+        self._waiting: SimpleQueue[_Item] = SimpleQueue()
+        self._taken = 0
+        self._seen, self._moved_s = -1, 0.0  # how many were taken when that was looked at, and since when
+        self._tidied_s = float("-inf")
+
+    def put(self, item: _Item) -> None:
+        """Hand over; never waits. For one thread alone."""
+        if self.is_over:
+            return
+        if self._waiting.qsize() >= self._limit:
+            self.dropped += 1
+        else:
+            self._waiting.put(item)
+
+    def is_stalled(self, now_s: float) -> bool:
+        """Whether something waits, and nothing was taken for `STALLED_S` of calls."""
+        if self.is_over or self._waiting.empty() or self._taken != self._seen:
+            self._seen, self._moved_s = self._taken, now_s
+        return now_s - self._moved_s >= STALLED_S
+
     def run(self) -> None:
         """Body of the thread; nothing leaves it."""
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         try:
             self._begin()
-            while not (self._stop_asked.is_set() and self._steps.empty() and self._frames.empty()):
-                self._write_steps()
-                self._write_frames()
-                self._tidy()
-            self._write_end()
-        except OSError as error:
-            logger.warning("record: %s", error)
-            self._say_stopped("Record", _why(error))
+            self._tidied_s = time.monotonic()
+            while not (self.stop_asked.is_set() and self._waiting.empty()):
+                with suppress(Empty):
+                    item = self._waiting.get(timeout=_TAKE_S)
+                    self._taken += 1
+                    self._write(item)
+                if time.monotonic() - self._tidied_s >= TIDY_S:
+                    self._tidied_s = time.monotonic()
+                    self._tidy()
+            self._finish()
+        except (OSError, OutputError) as error:
+            logger.warning("%s: %s", self.name, error)
+            self._say_stopped(_why(error))
         except Exception as error:  # the thread's top: a record is no reason to end a flight
-            logger.exception("record")
-            self._say_stopped("Record", type(error).__name__)
-        self._is_over = True
-        self._close()
+            logger.exception(self.name)
+            self._say_stopped(type(error).__name__)
+        self.is_over = True
+        with suppress(OSError, OutputError):
+            self._close()
+
+    def _say_stopped(self, why: str) -> None:
+        self._notices.put(Text(Severity.WARNING, f"{self.name} stopped: {why}"[:MAX_TEXT]))
+
+    @abstractmethod
+    def _begin(self) -> None: ...
+
+    @abstractmethod
+    def _write(self, item: _Item) -> None: ...
+
+    @abstractmethod
+    def _tidy(self) -> None:
+        """What is to be done now and then."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Write what comes last."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go; whatever has happened."""
+
+
+class _StepWriter(_Writer[tuple[Step, int]]):
+    """Makes the folder, and writes steps, each of which comes with how many were dropped before."""
+
+    def __init__(self, config: Config, flights: Path, notices: SimpleQueue[Text]) -> None:
+        super().__init__("Record", MAX_STEPS, notices)
+        self.folder: Path | None = None  # of this flight, once it is there
+        self.has_begun = threading.Event()  # or failed to
+        self.farewell: tuple[float, Sequence[bytes]] | None = None
+        self._config, self._flights = config, flights
+        self._record: FlightRecord | None = None
+        self._gap = 0
+
+    def run(self) -> None:
+        """Body of the thread."""
+        try:
+            super().run()
+        finally:
+            self.has_begun.set()
 
     def _begin(self) -> None:
-        record = self._config.record
         self._flights.mkdir(parents=True, exist_ok=True)
-        remove_old(self._flights, None, record, time.time())
-        self._check_space()
+        make_room(self._flights, None, self._config.record, time.time())
         start_s, start_us = time.monotonic(), time.time_ns() // 1000
         folder = new_folder(self._flights, datetime.fromtimestamp(start_us / 1e6, UTC))
         self._record = FlightRecord(folder, self._config, start_s, start_us)
         self.folder = folder
-        self._tidied_s = start_s
         logger.info("record %s", folder)
-        if self._has_video:
-            with self._ending_video():
-                self._video = LiveVideoFile(folder / VIDEO, record.video_frames_per_s)
+        self.has_begun.set()
 
-    def _write_steps(self) -> None:
-        """All that wait; where none does, the next one."""
+    def _write(self, item: tuple[Step, int]) -> None:
         assert self._record is not None
-        with suppress(Empty):
-            step, dropped = self._steps.get(timeout=_TAKE_S)
-            while True:
-                self._write_gap(dropped)
-                self._record.add(step)
-                self._mode = step.control.mode.value
-                step, dropped = self._steps.get_nowait()
+        step, dropped = item
+        self._write_gap(dropped)
+        self._record.add(step)
 
     def _write_gap(self, dropped: int) -> None:
         assert self._record is not None
@@ -185,165 +265,72 @@ class Recorder(threading.Thread):
             self._record.add_gap(dropped - self._gap)
             self._gap = dropped
 
-    def _write_end(self) -> None:
-        assert self._record is not None
-        self._write_gap(self.steps_dropped)
-        if self._farewell is not None:
-            self._record.add_farewell(*self._farewell)
-
-    def _write_frames(self) -> None:
-        for _ in range(self._frames.qsize()):
-            frame, sample = self._frames.get_nowait()
-            if self._video is None:
-                continue
-            with self._ending_video():
-                is_drawn = self._config.record.video == "overlay"
-                picture = drawn(frame.image, sample, self._mode) if is_drawn else frame.image
-                self._video.write(picture, frame.captured_s)
-
-    @contextmanager
-    def _ending_video(self) -> Iterator[None]:
-        """What fails ends the video alone, unless nothing else can be written either."""
-        try:
-            yield
-        except Exception as error:  # noqa: BLE001 - whatever an encoder raises, the record can do without
-            self._has_video, self._video = False, None
-            cause = error.__cause__
-            if isinstance(cause, OSError) and cause.errno in _WORDS:
-                raise cause from None
-            logger.warning("video: %s", error)
-            self._say_stopped("Video", "no PyAV" if isinstance(cause, ImportError) else _why(cause or error))
-
     def _tidy(self) -> None:
-        """Now and then: make room, look whether there is some, and see it on disk."""
+        """Make room, look whether there is some, and see all on disk."""
         assert self._record is not None
-        now_s = time.monotonic()
-        if now_s - self._tidied_s < TIDY_S:
-            return
-        self._tidied_s = now_s
-        record = self._config.record
-        used_mb = remove_old(self._flights, self._record.folder, record, time.time()) / _MB
-        if used_mb > record.max_total_mb:  # this flight alone
-            raise OSError(errno.EFBIG, "record.max_total_mb reached")
-        self._check_space()
+        make_room(self._flights, self._record.folder, self._config.record, time.time())
         self._record.sync()
 
-    def _check_space(self) -> None:
-        free_mb, least_mb = shutil.disk_usage(self._flights).free / _MB, self._config.record.min_free_mb
-        if free_mb < least_mb:
-            logger.warning("record: %.0f MB free in %s, record.min_free_mb = %g", free_mb, self._flights, least_mb)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def _say_stopped(self, what: str, why: str) -> None:
-        self._notices.put(Text(Severity.WARNING, f"{what} stopped: {why}"[:MAX_TEXT]))
+    def _finish(self) -> None:
+        assert self._record is not None
+        self._write_gap(self.dropped)
+        if self.farewell is not None:
+            self._record.add_farewell(*self.farewell)
 
     def _close(self) -> None:
-        for thing in (self._video, self._record):
-            with suppress(OSError, OutputError):
-                if thing is not None:
-                    thing.close()
+        if self._record is not None:
+            self._record.close()
 
 
-def _why(error: BaseException) -> str:
-    """A system's error in few words."""
-    if isinstance(error, OSError) and error.errno is not None:
-        return _WORDS.get(error.errno, error.strerror or "").lower()
-    return str(error)
+class _VideoWriter(_Writer[tuple[Frame, TrackSample, str]]):
+    """Writes frames, with what was seen and the mode then, into the folder that is made for the steps."""
+
+    def __init__(self, config: Config, flights: Path, notices: SimpleQueue[Text], steps: _StepWriter) -> None:
+        super().__init__("Video", MAX_FRAMES, notices)
+        self._config, self._flights, self._steps = config.record, flights, steps
+        self._file: LiveVideoFile | None = None
+
+    def run(self) -> None:
+        """Body of the thread."""
+        self._steps.has_begun.wait()
+        if self._steps.folder is not None:
+            super().run()
+        self.is_over = True
+
+    def _begin(self) -> None:
+        assert self._steps.folder is not None
+        self._file = LiveVideoFile(self._steps.folder / VIDEO, self._config.video_frames_per_s)
+
+    def _write(self, item: tuple[Frame, TrackSample, str]) -> None:
+        assert self._file is not None
+        frame, sample, mode = item
+        picture = drawn(frame.image, sample, mode) if self._config.video == "overlay" else frame.image
+        self._file.write(picture, frame.captured_s)
+
+    def _tidy(self) -> None:
+        """A video must fill no disk, also when nobody else looks; two at once would remove the same flights."""
+        if self._steps.is_over:
+            make_room(self._flights, self._steps.folder, self._config, time.time())
+        else:
+            check_free(self._flights, self._config)
+
+    def _finish(self) -> None:
+        """`_close` does."""
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
 
 
-# ------------------------------------------------------------------------------------------------ the folders
-def new_folder(flights: Path, start: datetime) -> Path:
-    """Make the folder of a flight, named by its start and a number that is above all others there.
-
-    The number, not the time, says which flight was later: many a companion computer has no clock of its own.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
-    """
-    first = 1 + max((_number(path) for path in _records(flights)), default=0)
-    for number in itertools.count(first):  # another process may be about to make the same
-        folder = flights / f"{start:%Y%m%dT%H%M%SZ}-{number:04d}"
-        with suppress(FileExistsError):
-            folder.mkdir()
-            return folder
-    raise AssertionError(first)  # numbers do not end
-
-
-def _records(flights: Path) -> list[Path]:
-    """Folders of flights, the oldest first; what else lies there is not ours."""
-    with os.scandir(flights) as entries:
-        folders = [Path(entry.path) for entry in entries if entry.is_dir(follow_symlinks=False)]
-    return sorted(filter(_is_record, folders), key=lambda path: (_number(path), path.name))
-
-
-def _is_record(folder: Path) -> bool:
-    try:
-        about = json.loads((folder / ABOUT).read_bytes())
-    except (OSError, ValueError):
-        return False
-    return isinstance(about, dict) and about.get("record") == KIND
-
-
-def _number(folder: Path) -> int:
-    last = folder.name.rpartition("-")[2]
-    return int(last) if last.isascii() and last.isdigit() else 0
-
-
-def remove_old(flights: Path, running: Path | None, config: RecordConfig, now_s: float) -> float:
-    """Remove records that are too old, then the oldest ones that do not fit; never the running one.
-
-    Parameters
-    ----------
-    now_s : since 1970 UTC.
-
-    Returns
-    -------
-    Bytes of all that remain.
-    """
-    sizes: dict[Path, float] = {}
-    for folder in _records(flights):
-        size, written_s = _measured(folder)
-        # of an age that rests on a clock that was not set then, nothing follows
-        is_old = written_s > _SET_CLOCK_S and now_s - written_s > config.max_age_days * 86400
-        if is_old and folder != running and _is_removed(folder):
-            continue
-        sizes[folder] = size
-    for folder in list(sizes):
-        if sum(sizes.values()) <= config.max_total_mb * _MB:
-            break
-        if folder != running and _is_removed(folder):
-            del sizes[folder]
-    return sum(sizes.values())
-
-
-def _measured(folder: Path) -> tuple[float, float]:
-    """Bytes, and when the last one was written, since 1970 UTC."""
-    size, written_s = 0, 0.0
-    for path in folder.rglob("*"):
-        with suppress(FileNotFoundError):
-            status = path.lstat()
-            size += status.st_size
-            written_s = max(written_s, status.st_mtime)
-    return size, written_s
-
-
-def _is_removed(folder: Path) -> bool:
-    """Remove a record; `ABOUT` goes last, so that one half removed is still known as ours."""
-    try:
-        for path in folder.iterdir():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            elif path.name != ABOUT:
-                path.unlink()
-        (folder / ABOUT).unlink()
-        folder.rmdir()
-    except OSError as error:
-        logger.warning("record: %s cannot be removed: %s", folder, error.strerror)
-        return False
-    logger.info("record: removed %s", folder)
-    return True
+def _why(error: OSError | OutputError) -> str:
+    """What went wrong, in few words."""
+    # ours names the path and the mend, which is more than a status text holds
+    cause = error.__cause__ or error if isinstance(error, OutputError) else error
+    if isinstance(cause, ImportError):
+        return "no PyAV"
+    if isinstance(cause, OSError) and cause.errno is not None:
+        return _WORDS.get(cause.errno, cause.strerror or "").lower()
+    return str(cause)
 
 
 # ------------------------------------------------------------------------------------------------ the overlay

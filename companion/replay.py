@@ -7,7 +7,17 @@ from typing import Any
 from companion.config import read
 from companion.controller import Controller
 from companion.errors import ConfigError, UsageError
-from companion.flight_record import CONFIG, Gap, RecordedStep, encoded, line_of, read_about, read_control, versions
+from companion.flight_record import (
+    CONFIG,
+    CONTROL,
+    Gap,
+    RecordedStep,
+    encoded,
+    line_of,
+    read_about,
+    read_control,
+    versions,
+)
 
 _STATUSTEXT = 253  # sent at the end only together with a request for a flight mode
 
@@ -30,12 +40,14 @@ class Replay:
     steps : that were compared and are equal.
     missing : how many the recorder lost, after which nothing can be compared; 0: none.
     recorded_by : version of the project; None: the one that replays.
+    is_whole : whether the record has its end: it breaks off where the process was killed, or the disk was full.
     """
 
     steps: int
     difference: Difference | None = None
     missing: int = 0
     recorded_by: str | None = None
+    is_whole: bool = False
 
 
 def replay(folder: Path) -> Replay:
@@ -52,7 +64,7 @@ def replay(folder: Path) -> Replay:
         controller = Controller(read(folder / CONFIG))
     except ConfigError as error:  # that of a record is no configuration to be mended
         raise UsageError(str(error)) from error
-    steps, start_s = 0, None
+    steps, start_s, is_whole = 0, None, False
     for entry in read_control(folder):
         if isinstance(entry, Gap):
             return Replay(steps, missing=entry.count, recorded_by=other)
@@ -61,14 +73,16 @@ def replay(folder: Path) -> Replay:
             start_s = now_s if start_s is None else start_s
             found = _difference(entry.output, encoded(controller.step(entry.inputs)))
         else:
-            now_s = entry.now_s
+            is_whole, now_s = True, entry.now_s
             start_s = now_s if start_s is None else start_s
             was_asked, is_asked = _STATUSTEXT in entry.message_ids, controller.shut_down() is not None
             found = None if was_asked is is_asked else ("request at the end", str(was_asked), str(is_asked))
         if found is not None:
             return Replay(steps, Difference(steps + 1, now_s - start_s, found[0].lstrip("."), *found[1:]), 0, other)
         steps += isinstance(entry, RecordedStep)
-    return Replay(steps, recorded_by=other)
+    if not steps:
+        raise UsageError(f"{folder / CONTROL} has no step of a flight in it: there is nothing to replay")
+    return Replay(steps, recorded_by=other, is_whole=is_whole)
 
 
 def _difference(recorded: Any, replayed: Any) -> tuple[str, str, str] | None:

@@ -47,6 +47,7 @@ class RcSwitch:
     position: _Position | None = None  # in force
     candidate: _Position | None = None  # seen, not yet long enough
     since_s: float = 0.0
+    is_live: bool = True  # whether there is a signal
     commands: tuple[OperatorCommand, ...] = field(default=())  # of the last movement
 
     def after(self, rc: RcChannels | None, config: RcConfig, now_s: float) -> "RcSwitch":
@@ -54,7 +55,7 @@ class RcSwitch:
         number = config.switch_channel
         pwm_us = rc.pwm_us[number - 1] if rc is not None and 0 < number <= len(rc.pwm_us) else 0
         if pwm_us <= _DEAD_US:
-            return RcSwitch(self.position)
+            return RcSwitch(self.position, is_live=False)
         seen = _Position.OFF if pwm_us < _LOW_US else _Position.ENGAGE if pwm_us > _HIGH_US else _Position.SELECT
         if seen is self.position:
             return RcSwitch(self.position)
@@ -66,8 +67,8 @@ class RcSwitch:
 
     @property
     def is_on(self) -> bool:
-        """Whether it rests where it engages."""
-        return self.position is _Position.ENGAGE
+        """Whether it rests where it engages, as far as is known."""
+        return self.is_live and self.position is _Position.ENGAGE
 
 
 def _orders(before: _Position | None, now: _Position, config: RcConfig) -> tuple[OperatorCommand, ...]:

@@ -367,7 +367,7 @@ class GimbalOrder:
 
 @dataclass(frozen=True, slots=True)
 class LandingTarget:
-    """Where a target below was seen: advice for the autopilot's own precision landing, which moves nothing by itself.
+    """Where a target below was seen, for the autopilot's own precision landing; its mode decides what comes of it.
 
     ray_frd : unit vector towards it, in the body's axes when the frame was exposed.
     distance_m : along the ray; None where no height is known.

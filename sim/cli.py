@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 
-from companion.config import Config
+from companion.config import Config, RecordConfig
 from companion.errors import UsageError
-from companion.flight_record import FlightRecord
+from companion.flight_record import FlightRecord, packets_in
 from companion.link import check_device
 from mscf.errors import OutputError
 from mscf.recording import VideoFile
@@ -31,9 +31,8 @@ from sim.stages import stage
 from sim.trace import Trace
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
-    from companion.follower import Step
 
 EXIT_FAILED = 1
 EXTERNAL_BAUD = 115200  # where it is on a serial port
@@ -56,6 +55,7 @@ class _Task:
     arms: bool
     duration_s: float | None
     has_video: bool
+    has_record: bool
 
 
 def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -74,6 +74,7 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
     sim.add_argument("--out", type=Path, default=Path("out/sim"), metavar="DIR", help="default: %(default)s")
     sim.add_argument("--duration", type=float, metavar="S", help="in place of the scenario's")
     sim.add_argument("--no-video", action="store_true", help="for measuring: encoding takes its share of the machine")
+    sim.add_argument("--no-record", action="store_true", help="for measuring: with --realtime, without a flight record")
     sim.add_argument("--seed", type=int, default=0, help="of the scenery, the gusts and the noise")
     sim.add_argument("--jobs", type=int, default=1, metavar="N", help="flights at a time (default: %(default)s)")
     sim.add_argument(
@@ -94,24 +95,7 @@ def _run(arguments: argparse.Namespace) -> int:
         for scenario in SCENARIOS.values():
             print(f"{scenario.name:15} {scenario.description}")
         return 0
-    names = arguments.scenario or [DEMO]
-    names = list(SCENARIOS) if names == ["all"] else list(dict.fromkeys(names))
-    for name in names:
-        if name not in SCENARIOS:
-            raise UsageError(f"unknown scenario {name!r}: give one of {', '.join(SCENARIOS)}")
-    if arguments.arm and not arguments.external:
-        raise UsageError("--arm needs --external LINK: the fake autopilots start in the air")
-    if arguments.jobs < 1 or (arguments.jobs > 1 and (arguments.realtime or arguments.external)):
-        raise UsageError(f"--jobs {arguments.jobs} must be 1 in real time, and at least 1 otherwise")
-    if arguments.duration is not None and not 5 <= arguments.duration <= 3600:
-        raise UsageError(f"--duration {arguments.duration:g} must be 5..3600 seconds")
-    if arguments.external:
-        check_device(arguments.external)
-        if arguments.autopilot:
-            raise UsageError("--autopilot is for the fake ones: the one at --external says itself what it is")
-        for name in names:
-            if SCENARIOS[name].moves_sticks:
-                raise UsageError(f"{name} moves the pilot's sticks: it cannot be flown with --external")
+    names = _names(arguments)
     autopilots = list(dict.fromkeys(arguments.autopilot or ["ardupilot"]))
     kind: Kind = "external" if arguments.external else "real time" if arguments.realtime else "virtual time"
     tasks = [
@@ -127,6 +111,7 @@ def _run(arguments: argparse.Namespace) -> int:
             arguments.arm,
             arguments.duration,
             not arguments.no_video,
+            not arguments.no_record,
         )
         for name in names
         for autopilot in autopilots
@@ -136,6 +121,39 @@ def _run(arguments: argparse.Namespace) -> int:
         write_index(runs, arguments.out)
         print(f"all       {arguments.out / PAGE}")
     return 0 if all(run.is_passed for run in runs) else EXIT_FAILED
+
+
+def _names(arguments: argparse.Namespace) -> list[str]:
+    """The scenarios to be flown.
+
+    Raises
+    ------
+    UsageError
+        If there is one that does not exist or cannot be flown so, or two options contradict each other.
+    """
+    names = arguments.scenario or [DEMO]
+    names = list(SCENARIOS) if names == ["all"] else list(dict.fromkeys(names))
+    for name in names:
+        if name not in SCENARIOS:
+            raise UsageError(f"unknown scenario {name!r}: give one of {', '.join(SCENARIOS)}")
+    if arguments.arm and not arguments.external:
+        raise UsageError("--arm needs --external LINK: the fake autopilots start in the air")
+    if arguments.jobs < 1 or (arguments.jobs > 1 and (arguments.realtime or arguments.external)):
+        raise UsageError(f"--jobs {arguments.jobs} must be 1 in real time, and at least 1 otherwise")
+    if arguments.duration is not None and not 5 <= arguments.duration <= 3600:
+        raise UsageError(f"--duration {arguments.duration:g} must be 5..3600 seconds")
+    if arguments.no_record and not arguments.realtime:
+        raise UsageError("--no-record needs --realtime: in virtual time nothing is delayed by a record")
+    if arguments.external:
+        check_device(arguments.external)
+        if arguments.autopilot:
+            raise UsageError("--autopilot is for the fake ones: the one at --external says itself what it is")
+        for name in names:
+            if SCENARIOS[name].moves_sticks:
+                raise UsageError(f"{name} moves the pilot's sticks: it cannot be flown with --external")
+            if stage(SCENARIOS[name].stage, 7).has_gimbal:
+                raise UsageError(f"{name} needs the fake autopilot's gimbal: it cannot be flown with --external")
+    return names
 
 
 def _flown(tasks: list[_Task], jobs: int) -> list[Run]:
@@ -225,18 +243,34 @@ def _made(
     if external is not None:
         return fly_external(scenario, external, seed=task.seed, watcher=watch, say=_say, folder=folder)
     if task.link is not None:
-        return fly_in_real_time(scenario, task.autopilot, task.link, seed=task.seed, watcher=watch, folder=folder)
+        return fly_in_real_time(
+            scenario,
+            task.autopilot,
+            task.link,
+            seed=task.seed,
+            watcher=watch,
+            folder=folder,
+            record=RecordConfig(enabled=task.has_record, video="overlay" if task.has_video else "none"),
+        )
     config = scenario.config(stage(scenario.stage, 7 + task.seed))
-    with _recorded(folder, config) as recorder:
-        trace, verdicts = fly(scenario, task.autopilot, RenderedEyes, seed=task.seed, watcher=watch, recorder=recorder)
+    with _recorded(folder, config) as record:
+        trace, verdicts = fly(
+            scenario,
+            task.autopilot,
+            RenderedEyes,
+            seed=task.seed,
+            watcher=watch,
+            recorder=record.add,
+            farewell=lambda time_s, data: record.add_farewell(time_s, packets_in(data)),
+        )
     return trace, verdicts, {}
 
 
 @contextmanager
-def _recorded(folder: Path, config: Config) -> "Iterator[Callable[[Step], None]]":
+def _recorded(folder: Path, config: Config) -> "Iterator[FlightRecord]":
     """What makes the flight record of a flight in virtual time, whose application has no recorder of its own."""
     try:
         with closing(FlightRecord(folder, config, OUR_CLOCK_S, VIRTUAL_START_US)) as record:
-            yield record.add
+            yield record
     except OSError as error:
         raise OutputError(f"{folder} cannot be written: {error.strerror or error}; give another folder") from error

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from companion.config import Config, text_of
+from companion.config import Config, RecordConfig, text_of
 from companion.errors import UsageError
 from companion.types import Deselect, Disengage, Engage, OperatorCommand, Select
 from mscf import Box
@@ -27,6 +27,7 @@ from sim.autopilot import FakeAutopilot, Personality, Start
 from sim.camera import Truth, observe
 from sim.external import VIEW_DELAY_S, ExternalAutopilot
 from sim.loop import Faults, Watcher, gimbal_of, world_time_s
+from sim.report import RECORDS
 from sim.scenarios import AUTOPILOTS, WAIT_S, Operator, Scenario, Verdict
 from sim.server import CameraServer, RealTime, Shot, open_end
 from sim.stages import Stage, stage
@@ -38,7 +39,6 @@ ANSWER_S = 0.5
 BOOT_S = 15.0  # for the application to open its control socket
 USAGE_S = 5.0  # between two readings of what it takes of the machine
 END_S = 10.0  # for it to end
-RECORDS = "flights"  # folder of its flight records
 
 
 class ControlLine:
@@ -98,6 +98,7 @@ class Flight:
     link : udp, tcp or serial, between it and the application.
     folder : where the application's configuration, log and sockets are.
     records : where its flight records go; None: into a folder of that one.
+    record : what it keeps in them; None: as the scenario's configuration says.
     extra_latency_ms : by which the picture is older than its stamp says.
     """
 
@@ -111,6 +112,7 @@ class Flight:
         folder: Path,
         *,
         records: Path | None = None,
+        record: RecordConfig | None = None,
         extra_latency_ms: float = 0.0,
     ) -> None:
         self.scenario = scenario
@@ -143,7 +145,7 @@ class Flight:
             replace(
                 config,
                 camera=replace(config.camera, latency_ms=latency_ms),
-                record=replace(config.record, folder=str(records)),
+                record=replace(record or config.record, folder=str(records)),
             ),
             source=self.realtime.camera.source,
             device=self.realtime.end.device,
@@ -350,6 +352,7 @@ def fly_in_real_time(
     seed: int = 0,
     watcher: Watcher | None = None,
     folder: Path,
+    record: RecordConfig | None = None,
 ) -> tuple[Trace, tuple[Verdict, ...], dict[str, Any]]:
     """Start the application, fly, end it; also what it said last of its own timing.
 
@@ -357,12 +360,13 @@ def fly_in_real_time(
     ----------
     folder : for the application's configuration, log and flight record; the sockets live elsewhere, as their paths must
         be short.
+    record : what the application keeps; None: as the scenario's configuration says.
     """
     place = stage(scenario.stage, 7 + seed)
     fake = fake_autopilot(scenario, place, autopilot, seed)
     with tempfile.TemporaryDirectory() as temporary:
         personality, records = AUTOPILOTS[autopilot], folder / RECORDS
-        flight = Flight(scenario, place, fake, personality, link, Path(temporary), records=records)
+        flight = Flight(scenario, place, fake, personality, link, Path(temporary), records=records, record=record)
         try:
             return _flown(flight, watcher)
         finally:

@@ -24,7 +24,6 @@ from mscf import Box
 from mscf.html_page import escaped, html_page
 from mscf.whole_file import write_whole
 from sim.figure import check_plottable, mode_hex, mode_spans, plot_png
-from sim.realtime import RECORDS
 from sim.scenarios import Act, Verdict
 from sim.trace import Moment, Trace
 
@@ -35,6 +34,7 @@ VERDICT = "verdict.json"
 TRACE = "trace.csv"
 PAGE = "index.html"
 LOG = "application.log"
+RECORDS = "flights"  # folder of the flight records of an application in real time
 
 Kind = Literal["virtual time", "real time", "external", "recorded"]
 Fact = str | float | None
@@ -124,19 +124,20 @@ def write_run(run: Run, folder: Path) -> None:
     OutputError
         If a file cannot be written, or Matplotlib is not installed.
     """
-    write_whole(folder / PLOTS, plot_png(f"{run.scenario}, {run.autopilot}", run.trace, run.acts))
     write_whole(folder / VERDICT, verdict_json(run).encode())
     write_page(run, folder)
 
 
 def write_page(run: Run, folder: Path) -> None:
-    """Write the trace and the page into a folder in which the plots are already, and the film if there is one.
+    """Write plots, trace and page into a folder in which the film is already, if there is one.
 
     Raises
     ------
     OutputError
-        If a file cannot be written.
+        If a file cannot be written, or Matplotlib is not installed.
     """
+    title = f"{run.scenario}, {run.autopilot}"
+    write_whole(folder / PLOTS, plot_png(title, run.trace, run.acts, has_truth=run.has_truth))
     write_whole(folder / TRACE, trace_csv(run.trace, has_truth=run.has_truth).encode())
     if (folder / FILM).is_file():
         poster = _poster(folder / FILM)

@@ -20,7 +20,7 @@ from sim.autopilot import FakeAutopilot, Personality
 from sim.camera import Truth
 from sim.external import ExternalAutopilot
 from sim.eyes import Eyes
-from sim.loop import Faults, Loop, Watcher
+from sim.loop import OUR_CLOCK_S, Faults, Loop, Watcher
 from sim.px4 import Px4
 from sim.stages import FORWARD_CAMERA, Stage, stage
 from sim.trace import Trace
@@ -644,6 +644,7 @@ def fly(
     seed: int = 0,
     watcher: Watcher | None = None,
     recorder: Callable[[Step], None] | None = None,
+    farewell: Callable[[float, bytes], None] | None = None,
 ) -> tuple[Trace, tuple[Verdict, ...]]:
     """Fly a scenario in virtual time, and judge it.
 
@@ -653,6 +654,7 @@ def fly(
     eyes_of : makes what the application sees with, for a stage.
     watcher : is shown every moment with the newest frame.
     recorder : is given every step of the application.
+    farewell : is given its last words and their time.
     """
     place = stage(scenario.stage, 7 + seed)
     loop = Loop(
@@ -669,5 +671,8 @@ def fly(
         recorder=recorder,
     )
     loop.run(scenario.duration_s, Operator(scenario).act)
+    if farewell is not None:
+        end_s = OUR_CLOCK_S + loop.time_s
+        farewell(end_s, loop.follower.farewell(end_s))
     trace = Trace(tuple(loop.moments))
     return trace, tuple(check.judge(trace) for check in scenario.checks)

@@ -203,10 +203,9 @@ def test_a_recorder_that_dies_does_not_end_the_run(
 ) -> None:
     app = make(filmed)
     assert app._recorder is not None
-    app._recorder._steps = None  # type: ignore[assignment]
-    app._recorder.put_step = lambda _: None  # type: ignore[method-assign]
+    app._recorder._steps._taken = None  # type: ignore[assignment]
     assert app.run() == 0
-    assert caplog.messages.count("Record stopped: AttributeError") == 1
+    assert caplog.messages.count("Record stopped: TypeError") == 1
 
 
 @pytest.mark.usefixtures("process")
@@ -224,8 +223,9 @@ def test_the_status_tells_the_record_while_there_is_one(make: Callable[[str], Ap
     assert app._status(step, None, 100.0)["record"] is None
     recorder = app._recorder
     assert recorder is not None
-    recorder.folder = tmp_path / "flights" / "x"
-    recorder.steps_dropped, recorder.frames_dropped = 2, 3
+    assert recorder._video is not None
+    recorder._steps.folder = tmp_path / "flights" / "x"
+    recorder._steps.dropped, recorder._video.dropped = 2, 3
     status = app._status(step, None, 100.0)
     assert status["record"] == str(tmp_path / "flights" / "x")
     assert (status["record_steps_dropped"], status["record_frames_dropped"]) == (2, 3)

@@ -14,19 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.camera_model import CameraModel, rotation
-from companion.camera_protocol import (
-    METRES_PER_DEG,
-    POINT_RADIUS,
-    VEHICLE_SIGMA_M,
-    CameraProtocol,
-    firmware_number,
-    product,
-    quaternion,
-    stream_address,
-)
+from companion.camera_model import CameraModel, product, quaternion, rotation, rotation_of
+from companion.camera_protocol import POINT_RADIUS, CameraProtocol, firmware_number, stream_address
 from companion.config import parse
 from companion.controller import Controller, ControlOutput
+from companion.geo_place import METRES_PER_DEG, VEHICLE_SIGMA_M
 from companion.target import RangeFix, RangeReference, measure, range_fix, range_from_above
 from companion.types import (
     Attitude,
@@ -483,6 +475,18 @@ def test_the_same_rectangle_drawn_again_later_is_selected_again() -> None:
     assert stand.selection.number == 3
 
 
+def test_the_same_rectangle_again_is_a_new_one_where_somebody_else_has_chosen_another() -> None:
+    stand = Stand().tracked()
+    stand.step(long(RECTANGLE, *A_RECTANGLE))
+    stand.run(0.5)
+    stand.step(commands=(Select(Box(10, 10, 40, 40)),))
+    stand.run(0.5)
+    stand.step(long(RECTANGLE, *A_RECTANGLE))
+    stand.run(0.5)
+    assert stand.acks() == [(RECTANGLE, ACCEPTED)] * 2
+    assert stand.selection.number == 4
+
+
 def test_the_same_rectangle_again_at_once_is_a_retry_even_where_it_does_not_say_so() -> None:
     stand = Stand().tracked()
     for _ in range(2):
@@ -693,6 +697,7 @@ def test_a_product_of_quaternions_turns_as_one_rotation_after_the_other(angles: 
         ]
     )
     assert turned == pytest.approx(rotation(*angles[:3]) @ rotation(*angles[3:]), abs=1e-9)
+    assert rotation_of((w, x, y, z)) == pytest.approx(turned, abs=1e-9)
 
 
 # ------------------------------------------------------------------------------------ intervals

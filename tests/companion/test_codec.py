@@ -533,3 +533,26 @@ def test_only_the_autopilots_answers_move_its_clock(system: int, component: int,
     (event,) = codec.hear(sender(attitude(9992)), 105.0)
     assert isinstance(event, Attitude)
     assert event.time_s == pytest.approx(104.992 if is_believed else 105.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("place_m", "speed_mps", "is_taken"),
+    [
+        (999_999.0, 199.0, True),
+        (1e6, 0.0, False),
+        (-3.4e38, 0.0, False),
+        (0.0, 200.0, False),
+        (0.0, 1e20, False),
+        (math.inf, 0.0, False),
+        (0.0, math.nan, False),
+    ],
+)
+def test_a_position_or_velocity_that_no_vehicle_has_is_no_state(
+    place_m: float, speed_mps: float, *, is_taken: bool
+) -> None:
+    codec, sender = paired()
+    for axis in range(3):
+        place, speed = [0.0] * 3, [0.0] * 3
+        place[axis], speed[axis] = place_m, speed_mps
+        message = mavlink.MAVLink_local_position_ned_message(5000 + axis, *place, *speed)
+        assert bool(codec.hear(sender(message), 100.0)) is is_taken

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.command_protocol import RETRY_S, Command, CommandProtocol, Result
+from companion.command_protocol import MOST_AT_ONCE, RETRY_S, Command, CommandProtocol, Result
 from companion.wire import Wire
 
 VEHICLE, OURS = 7, 191
-ENGAGE, BOX, STOP, ASK = 31010, 2005, 2010, 512
+ENGAGE, BOX, STOP, ASK, ONCE = 31010, 2005, 2010, 512, 31011
 
 
 def long(number: int = ENGAGE, *params: float, confirmation: int = 0, target: tuple[int, int] = (VEHICLE, OURS)) -> Any:
@@ -28,7 +28,7 @@ class Ends:
 
     def __init__(self) -> None:
         self.wire = Wire(VEHICLE)
-        self.protocol = CommandProtocol(self.wire.sender(OURS), frozenset({BOX, STOP}))
+        self.protocol = CommandProtocol(self.wire.sender(OURS), frozenset({BOX, STOP}), frozenset({ONCE}))
         self.now_s = 10.0
         self._stations: dict[tuple[int, int], Any] = {}
         self._in = mavlink.MAVLink(BytesIO())
@@ -61,7 +61,7 @@ def test_a_command_for_us_is_taken(message: Any, target: tuple[int, int]) -> Non
     command = Ends().take(message(ENGAGE, 1, 2, 3, 4, 5, 6, 7, target=target), sender=(254, 25))
     assert command is not None
     assert (command.number, command.params, command.sender) == (ENGAGE, (1, 2, 3, 4, 5, 6, 7), (254, 25))
-    assert command.is_broadcast is (target[1] == 0)
+    assert command.is_broadcast is (0 in target)
 
 
 @pytest.mark.parametrize("target", [(VEHICLE, 1), (VEHICLE, 100), (1, OURS), (8, 0), (255, 190)])
@@ -136,12 +136,40 @@ def test_a_first_transmission_that_was_lost_is_no_loss() -> None:
     assert Ends().order(long(confirmation=1))
 
 
-def test_what_was_ordered_before_its_contrary_is_ordered_anew_by_a_retry() -> None:
-    """Engage, disengage, and engage, whose first transmission was lost: it must not be said to be in force."""
+def test_a_retry_of_what_was_ordered_before_its_contrary_is_neither_done_nor_said_to_be_in_force() -> None:
+    """Engage, disengage, and the retry of the first, late: whoever means it gives it anew."""
     ends = Ends()
     assert ends.order(long(ENGAGE, 1))
     assert ends.order(long(ENGAGE, 0))
-    assert ends.order(long(ENGAGE, 1, confirmation=1))
+    assert not ends.order(long(ENGAGE, 1, confirmation=1))
+    assert ends.acks() == [(ENGAGE, 0), (ENGAGE, 0), (ENGAGE, Result.TEMPORARILY_REJECTED)]
+    assert ends.order(long(ENGAGE, 1))
+
+
+@pytest.mark.parametrize("result", Result)
+def test_what_is_done_once_is_a_retry_whatever_came_of_it(result: Result) -> None:
+    ends = Ends()
+    assert ends.order(long(ONCE, 1), result)
+    assert not ends.order(long(ONCE, 1))
+    assert not ends.order(integer(ONCE, 1))
+    assert ends.acks() == [(ONCE, result)] * 3
+    assert ends.order(long(ONCE, 1, 2))
+
+
+def test_what_is_forgotten_is_new_again() -> None:
+    ends, box = Ends(), long(BOX, 0.1, 0.2, 0.3, 0.4)
+    assert ends.order(box)
+    assert ends.order(long(ASK, 275))
+    ends.protocol.forget(frozenset({BOX}))
+    assert ends.order(box)
+    assert not ends.order(long(ASK, 275, confirmation=1))
+
+
+def test_a_flood_of_commands_is_not_answered_by_a_flood() -> None:
+    ends = Ends()
+    taken = [ends.take(long(ASK, k), after_s=0.0) for k in range(1000)]
+    assert [command is not None for command in taken] == [True] * MOST_AT_ONCE + [False] * (1000 - MOST_AT_ONCE)
+    assert ends.take(long(ASK, 275)) is not None
 
 
 @pytest.mark.parametrize("again", [long(), long(confirmation=1), integer()])

@@ -321,3 +321,29 @@ def test_the_application_gives_the_gimbal_up_when_it_ends() -> None:
     follower.step(50.0, data, None)
     messages = mavlink.MAVLink(None).parse_buffer(follower.farewell(50.1)) or []
     assert [m.param1 for m in messages if m.get_type() == "COMMAND_LONG"] == [-3.0]
+
+
+def test_a_manager_that_is_not_the_autopilot_says_nothing_of_the_autopilots_clock() -> None:
+    desk = Desk()
+    desk.hear(information(), component=154)
+    before_s = desk.clock.ours_s(5.0, 50.0)
+    (event,) = desk.hear(attitude(boot_ms=900_000), component=154, now_s=50.0)
+    assert isinstance(event, GimbalAttitude)
+    assert event.time_s == 50.0
+    assert desk.clock.ours_s(5.0, 50.0) == before_s
+    assert not desk.clock.has_gone_back(5.0)
+
+
+def test_an_attitude_from_before_the_autopilot_began_anew_leaves_its_clock_and_means_nothing() -> None:
+    desk = Desk()
+    desk.hear(information())
+    desk.clock.ours_s(100.0, 50.0)
+    assert desk.hear(attitude(boot_ms=5000), now_s=50.1) == []
+    assert desk.clock.has_gone_back(5.0)  # which the codec has still to see
+
+
+def test_of_several_gimbals_the_first_one_steers() -> None:
+    desk = Desk()
+    desk.hear(information(1), information(2))
+    assert len(desk.hear(attitude(device=1))) == 1
+    assert desk.hear(attitude(device=2)) == []

@@ -18,8 +18,16 @@ NUMBER = 31012
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 
 
-def command(first: float = 1.0, number: int = NUMBER, confirmation: int = 0, component: int = 191) -> Any:
-    return mavlink.MAVLink_command_long_message(VEHICLE, component, number, confirmation, first, *[0.0] * 6)
+def command(
+    first: float = 1.0,
+    number: int = NUMBER,
+    confirmation: int = 0,
+    component: int = 191,
+    *,
+    system: int = VEHICLE,
+    second: float = 0.0,
+) -> Any:
+    return mavlink.MAVLink_command_long_message(system, component, number, confirmation, first, second, *[0.0] * 5)
 
 
 class Station:
@@ -103,11 +111,19 @@ def test_a_retry_engages_once_and_is_answered_as_before() -> None:
     assert station.results() == [ACCEPTED, ACCEPTED]
 
 
-def test_engaging_again_after_ready_is_a_new_order() -> None:
+def test_engaging_again_after_ready_is_a_new_order_where_it_is_told_from_a_retry() -> None:
     station = Station()
     assert station.send(command(), mode=Mode.READY) == (Engage(),)
-    assert station.send(command(), mode=Mode.FOLLOWING) == (Engage(),)
-    assert station.results() == [REJECTED, ACCEPTED]
+    assert station.send(command(), mode=Mode.READY) == ()
+    assert station.send(command(second=1), mode=Mode.FOLLOWING) == (Engage(),)
+    assert station.results() == [REJECTED, REJECTED, ACCEPTED]
+
+
+@pytest.mark.parametrize(("system", "component"), [(0, 0), (0, 191), (VEHICLE, 0)])
+def test_an_order_to_all_engages_nobody(system: int, component: int) -> None:
+    station = Station()
+    assert station.send(command(component=component, system=system)) == ()
+    assert station.results() == [DENIED]
 
 
 def test_orders_keep_their_order() -> None:

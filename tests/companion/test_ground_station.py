@@ -1,8 +1,11 @@
 """What QGroundControl would show: its own sequence of messages, replayed against the application in the closed loop.
 
 The sequence is that of QGroundControl 4.4 to 5.0, from its sources: `VehicleCameraControl` asks for the camera as soon
-as its heartbeat comes, by turns in the new way and in the old; the rest follows at fixed times. A command whose answer
-does not come is sent again after three seconds, with a higher confirmation.
+as its heartbeat comes; the rest follows at fixed times. A message that does not come within a second is asked for
+again, by turns in the old way and in the new. A command whose answer does not come is sent again after three seconds,
+with a higher confirmation.
+
+It asks for the tracking status (511) after every track command only since pull request 13332, of August 2025.
 """
 
 import math
@@ -25,13 +28,31 @@ if TYPE_CHECKING:
 
 AGAIN_S = 3.0  # without an acknowledgement
 TRIES = 3
-INFORMATION_S = 1.0  # in which the camera's information has to come
-STORAGE_S, CAPTURE_S = 2.5, 2.75  # after it
+INFORMATION_S = 1.0  # in which a message has to come
+STORAGE_S, CAPTURE_S = 2.5, 2.75  # after the camera's information
 DRAWING_US = 500_000
 CLICK_PX = 20  # radius of a click on the displayed video
 STREAM = 'stream_uri = "rtsp://10.0.0.2:8554/video"\n'
 TRACK_POINT, TRACK_RECTANGLE, STOP_TRACKING, SET_INTERVAL, REQUEST = 2004, 2005, 2010, 511, 512
-INFORMATION, SETTINGS, STORAGE, CAPTURE, STREAM_INFORMATION, IMAGE_STATUS = 259, 260, 261, 262, 269, 275
+INFORMATION, SETTINGS, STORAGE, CAPTURE, STREAM_INFORMATION, STREAM_STATUS = 259, 260, 261, 262, 269, 270
+IMAGE_STATUS = 275
+MESSAGES = {
+    "CAMERA_SETTINGS": SETTINGS,
+    "STORAGE_INFORMATION": STORAGE,
+    "CAMERA_CAPTURE_STATUS": CAPTURE,
+    "VIDEO_STREAM_INFORMATION": STREAM_INFORMATION,
+    "VIDEO_STREAM_STATUS": STREAM_STATUS,
+}
+# command and parameters: of which storage and stream, and that it is asked
+OLD_REQUESTS: dict[int, tuple[int, ...]] = {
+    SETTINGS: (522, 1),
+    STORAGE: (525, 0, 1),
+    CAPTURE: (527, 1),
+    STREAM_INFORMATION: (2504, 1),
+    STREAM_STATUS: (2505, 1),
+}
+IN_PROGRESS = 5
+ANSWER_S = 0.2  # for a track command to be answered for good
 ABOUT = (SET_INTERVAL, REQUEST)  # whose first parameter names a message
 STANDS_S = 1000.0  # for so long does the target stand: longer than any flight here
 
@@ -40,6 +61,7 @@ class QGroundControl:
     """Its camera code and its screen, which shows the video undistorted, a pixel of the frame by a pixel.
 
     deaf_to : messages of these kinds get lost on their way here, so many times.
+    asks_for_status : after every track command; older ones do not.
     """
 
     def __init__(self, system_id: int = 255) -> None:
@@ -48,6 +70,7 @@ class QGroundControl:
         self.camera: Any = None  # CAMERA_INFORMATION
         self.results: list[tuple[int, int]] = []  # command and result
         self.deaf_to: dict[str, int] = {}
+        self.asks_for_status = True
         self.is_tracking_enabled = False
         self._status: Any = None
         self._out = mavlink.MAVLink(BytesIO(), srcSystem=system_id, srcComponent=190)
@@ -55,6 +78,7 @@ class QGroundControl:
         # by command and the message that it is about: when it is sent again, tries, parameters
         self._waiting: dict[tuple[int, float], tuple[float, int, tuple[float, ...]]] = {}
         self._later: list[tuple[float, int]] = []  # messages to be asked for
+        self._missing: dict[int, tuple[float, int]] = {}  # when they are asked for again, and how often they were
         self._asked_s = math.inf
         self._asked = 0
         self._packets: list[bytes] = []
@@ -99,10 +123,15 @@ class QGroundControl:
         self._command(STOP_TRACKING)
         self._command(SET_INTERVAL, IMAGE_STATUS, -1)
 
+    def ask_stream_status(self) -> None:
+        """As it does when a stream is chosen."""
+        self._ask(STREAM_STATUS)
+
     def _track(self, command: int, *params: float) -> None:
         self.is_tracking_enabled = True
         self._command(command, *params)
-        self._command(SET_INTERVAL, IMAGE_STATUS, DRAWING_US)
+        if self.asks_for_status:
+            self._command(SET_INTERVAL, IMAGE_STATUS, DRAWING_US)
 
     # ------------------------------------------------------------------------------------ the link
     def said(self, now_s: float) -> bytes:
@@ -111,7 +140,10 @@ class QGroundControl:
         if self.camera is None and now_s - self._asked_s >= INFORMATION_S:
             self._ask_information()
         while self._later and self._later[0][0] <= now_s:
-            self._command(REQUEST, self._later.pop(0)[1])
+            self._ask(self._later.pop(0)[1])
+        for number, (due_s, _) in [*self._missing.items()]:
+            if now_s >= due_s:
+                self._ask(number)
         for (command, about), (due_s, tries, params) in [*self._waiting.items()]:
             if now_s >= due_s:
                 assert tries < TRIES, f"no answer to {command} {about:g}"
@@ -129,6 +161,7 @@ class QGroundControl:
                 self.deaf_to[kind] -= 1
                 continue
             self.heard.append((now_s, message))
+            self._missing.pop(MESSAGES.get(kind, 0), None)
             if kind == "HEARTBEAT" and math.isinf(self._asked_s):
                 self._ask_information()
             elif kind == "COMMAND_ACK" and message.target_system == self._out.srcSystem:
@@ -146,6 +179,18 @@ class QGroundControl:
     def commands(self) -> list[tuple[int, float]]:
         """What was sent: the command, and the message that it is about or 0."""
         return [(m.command, m.param1 if m.command in ABOUT else 0) for _, m in self.sent]
+
+    def answer_delays_s(self, command: int) -> list[float]:
+        """From every command of a kind to its last answer."""
+        sent_s = [time_s for time_s, m in self.sent if m.command == command]
+        answers = [(time_s, m) for time_s, m in self.of("COMMAND_ACK") if m.command == command]
+        answered_s = [time_s for time_s, m in answers if m.result != IN_PROGRESS]
+        return [late - early for early, late in zip(sent_s, answered_s, strict=True)]
+
+    def _ask(self, number: int) -> None:
+        _, asked = self._missing.get(number, (0.0, 0))
+        self._missing[number] = (self._now_s + INFORMATION_S, asked + 1)
+        self._command(*(REQUEST, number) if asked % 2 == 0 else OLD_REQUESTS[number])
 
     def _ask_information(self) -> None:
         self._asked_s = self._now_s
@@ -299,6 +344,46 @@ def test_an_information_that_is_lost_is_had_in_the_old_way(autopilot: str) -> No
     assert [number for number, _ in flight.qgc.commands()][:2] == [REQUEST, 521]
     assert not flight.qgc.camera.flags & 256  # no stream was configured
     assert not flight.qgc.of("VIDEO_STREAM_INFORMATION")
+
+
+@both
+def test_what_is_lost_is_had_in_the_old_way(autopilot: str) -> None:
+    flight = Flight("straight", autopilot, STREAM)
+    flight.qgc.deaf_to = dict.fromkeys(MESSAGES, 1)
+    qgc = flight.fly(8.0, [(5.5, lambda qgc, _: qgc.ask_stream_status())]).qgc
+    assert qgc.commands() == [
+        *((REQUEST, INFORMATION), (REQUEST, SETTINGS), (REQUEST, STREAM_INFORMATION), (522, 0), (2504, 0)),
+        *((REQUEST, STORAGE), (REQUEST, CAPTURE), (525, 0), (527, 0)),
+        *((REQUEST, STREAM_STATUS), (2505, 0)),
+    ]
+    assert qgc.results == [(number, 0) for number, _ in qgc.commands()]
+    kinds = [message.get_type() for _, message in qgc.heard if message.get_type() in MESSAGES]
+    assert kinds == [
+        *("CAMERA_SETTINGS", "VIDEO_STREAM_INFORMATION", "STORAGE_INFORMATION", "CAMERA_CAPTURE_STATUS"),
+        "VIDEO_STREAM_STATUS",
+    ]
+
+
+@both
+def test_a_track_command_is_answered_for_good_within_200_ms(autopilot: str) -> None:
+    qgc = Flight("straight", autopilot).fly(7.0, [(3.0, click), (4.0, drag), (5.51, click), (6.02, drag)]).qgc
+    for command in (TRACK_POINT, TRACK_RECTANGLE):
+        delays_s = qgc.answer_delays_s(command)
+        assert len(delays_s) == 2
+        assert 0 < max(delays_s) <= ANSWER_S + 1e-9
+    assert {result for number, result in qgc.results if number in {TRACK_POINT, TRACK_RECTANGLE}} == {0}
+
+
+@both
+def test_a_station_that_does_not_ask_for_the_status_is_told_its_changes_and_nothing_else(autopilot: str) -> None:
+    flight = Flight("straight", autopilot)
+    flight.qgc.asks_for_status = False
+    qgc = flight.fly(10.0, [(3.0, drag), (5.0, click), (8.0, stop)]).qgc
+    said = qgc.of("CAMERA_TRACKING_IMAGE_STATUS")
+    assert [message.tracking_status for _, message in said] == [1, 0, 1, 0]
+    # begun on what was dragged, taken from it and begun on what was clicked, stopped
+    assert [time_s for time_s, _ in said] == pytest.approx([3.1, 5.05, 5.1, 8.05], abs=0.101)
+    assert qgc.commands().count((SET_INTERVAL, IMAGE_STATUS)) == 1  # of stopping
 
 
 @both

@@ -161,7 +161,7 @@ def test_a_target_that_is_seen_again_late_waits_for_the_operator(gap_s: float) -
     outputs = cockpit.run(5.0)
     assert {output.mode for output in outputs} == {Mode.AWAITING}
     assert {sent(output) for output in outputs} == {ZERO}
-    assert cockpit.texts[-1] == "Target found: engage to confirm"
+    assert cockpit.texts[-1] == "Target seen: engage to confirm"
     aim = cockpit.controller._state.aim
     output = cockpit.step(Engage())
     assert output.mode is Mode.FOLLOWING

@@ -272,7 +272,8 @@ def turn(cockpit: Cockpit, us: int) -> None:
 
 def test_the_switch_and_then_offboard_follow() -> None:
     cockpit = switched()
-    assert PREPARED in cockpit.texts
+    assert "Ready: OFFBOARD starts following" in cockpit.texts
+    assert PREPARED not in cockpit.texts
     cockpit.run(2.0)
     cockpit.fly(FlightMode.EXTERNAL)
     cockpit.run(0.25)
@@ -315,3 +316,17 @@ def test_after_the_pilot_has_taken_over_the_resting_switch_engages_no_more() -> 
     cockpit.run(5.0)
     assert cockpit.mode is Mode.TRACKING
     assert sent(cockpit.outputs[-1]) is None
+
+
+@pytest.mark.parametrize("is_mute", [True, False])
+def test_a_switch_whose_transmitter_is_gone_engages_nothing(*, is_mute: bool) -> None:
+    cockpit = switched()
+    if is_mute:
+        cockpit.muted.add("rc")
+    else:
+        cockpit.pwm_us = (0, 0, 0, 0, 0)
+    cockpit.run(3.0)
+    cockpit.fly(FlightMode.EXTERNAL)
+    cockpit.run(2.0)
+    assert cockpit.mode is Mode.READY
+    assert {sent(output) for output in cockpit.outputs[-20:]} == {ZERO}

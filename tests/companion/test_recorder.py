@@ -1,11 +1,10 @@
-import json
 import os
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import av
@@ -13,10 +12,10 @@ import numpy as np
 import pytest
 
 from companion import recorder as module
-from companion.config import Config, RecordConfig, parse
-from companion.flight_record import ABOUT, CONTROL, KIND, VIDEO, FlightRecord, Gap, RecordedStep, read_control
+from companion.config import Config, parse
+from companion.flight_record import VIDEO, FlightRecord, Gap, RecordedStep, read_control
 from companion.follower import Step
-from companion.recorder import MAX_FRAMES, MAX_STEPS, MAX_TEXT, Recorder, drawn, flights_folder, new_folder, remove_old
+from companion.recorder import MAX_FRAMES, MAX_STEPS, MAX_TEXT, NICE, STALLED_S, Recorder, drawn
 from companion.types import Frame, Severity, Text, TrackSample
 from mscf import Box, TrackStatus
 from mscf.errors import OutputError
@@ -25,7 +24,7 @@ from sim.eyes import TrueEyes
 from sim.scenarios import SCENARIOS, fly
 
 LIMIT_S = 40.0  # of every wait: far beyond what a busy machine needs
-NOW = datetime(2026, 3, 1, 12, 30, 5, tzinfo=UTC)
+BEHIND, STALLED = "Record behind: steps are lost", "Record stalled"
 SAMPLE = TrackSample(0, 0.0, 0.0, (48, 64), 1, TrackStatus.TRACKING, is_measured=True, box=Box(20, 10, 16, 12))
 
 
@@ -54,7 +53,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
     yield begin
     for recorder in running:
         recorder.end(LIMIT_S)
-        assert not recorder.is_alive()
+        assert not any(writer.is_alive() for writer in recorder._writers)
 
 
 def frame_at(captured_s: float, level: int = 100) -> Frame:
@@ -74,6 +73,15 @@ def told(recorder: Recorder) -> list[str]:
     texts = recorder.notices()
     assert all(text.severity is Severity.WARNING and len(text.text) <= MAX_TEXT for text in texts)
     return [text.text for text in texts]
+
+
+def texts_of(recorder: Recorder) -> list[str]:
+    return [text.text for text in recorder.notices()]
+
+
+def waiting_frames(recorder: Recorder) -> int:
+    assert recorder._video is not None
+    return recorder._video._waiting.qsize()
 
 
 def times_s(path: Path) -> list[float]:
@@ -110,7 +118,7 @@ def test_frames_are_thinned_before_they_wait(camera_hz: int, wanted: int, tmp_pa
     for k in range(2 * camera_hz):
         recorder.put_frame(frame_at(100 + k / camera_hz), SAMPLE)
     # one more where the next one is all but due at the end
-    assert recorder._frames.qsize() + recorder.frames_dropped in {wanted, wanted + 1}
+    assert waiting_frames(recorder) + recorder.frames_dropped in {wanted, wanted + 1}
 
 
 def test_a_frame_is_drawn_upon_only_in_the_record(start: Callable[..., Recorder]) -> None:
@@ -133,12 +141,12 @@ def test_without_a_video_no_frame_waits(start: Callable[..., Recorder]) -> None:
     assert not (folder / VIDEO).exists()
 
 
-def test_only_the_recorder_is_nice(start: Callable[..., Recorder]) -> None:
+def test_only_the_threads_of_the_recorder_are_nice(start: Callable[..., Recorder]) -> None:
     before = os.getpriority(os.PRIO_PROCESS, 0)
-    recorder = start(video="none")
+    recorder = start(video="plain")
     folder_of(recorder)
-    assert recorder.native_id is not None
-    assert os.getpriority(os.PRIO_PROCESS, recorder.native_id) == min(before + 10, 19) or before > 10
+    for writer in recorder._writers:
+        until(lambda number=writer.native_id or -1: os.getpriority(os.PRIO_PROCESS, number) == max(before, NICE))  # type: ignore[misc]
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
@@ -162,7 +170,7 @@ class Full(FlightRecord):
 
 
 class FullForVideo(FlightRecord):
-    """So does the encoder."""
+    """Has a place for the video on a disk that is full."""
 
     def __init__(self, *arguments: object) -> None:
         super().__init__(*arguments)  # type: ignore[arg-type]
@@ -178,39 +186,63 @@ def test_a_full_disk_ends_the_record_with_one_text(
 ) -> None:
     monkeypatch.setattr(module, "FlightRecord", Full)
     recorder = start(video="plain")
-    for _ in range(40):
+    for _ in range(MAX_STEPS // len(steps)):
         for step in steps:
             recorder.put_step(step)
         recorder.put_frame(frame_at(0.0), SAMPLE)
-    until(lambda: not recorder.is_alive())
+    until(lambda: not recorder._steps.is_alive())
     assert not recorder.is_recording
     recorder.put_step(steps[0])
     recorder.put_frame(frame_at(1.0), SAMPLE)
-    assert recorder._steps.qsize() <= MAX_STEPS
+    assert recorder._steps._waiting.qsize() <= MAX_STEPS
     assert told(recorder) == ["Record stopped: disk full"]
 
 
 @needs_full
-def test_a_disk_that_is_full_for_the_video_is_full_for_all(
-    start: Callable[..., Recorder], monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+def test_the_video_goes_on_without_the_steps(
+    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FlightRecord", Full)
+    recorder = start(video="plain", video_frames_per_s=10)
+    folder = folder_of(recorder)
+    for k in range(MAX_STEPS):
+        recorder.put_step(steps[k % len(steps)])
+    until(lambda: not recorder._steps.is_alive())
+    for k in range(3):
+        recorder.put_frame(frame_at(k / 10), SAMPLE)
+    assert told(recorder) == ["Record stopped: disk full"]
+    assert times_s(folder / VIDEO) == [0.0, 0.1, 0.2]
+
+
+@needs_full
+def test_the_steps_go_on_where_the_video_finds_the_disk_full(
+    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     monkeypatch.setattr(module, "FlightRecord", FullForVideo)
     recorder = start(video="plain", video_frames_per_s=10)
+    folder = folder_of(recorder)
+    assert recorder._video is not None
     for k in range(400):
-        if not recorder.is_alive():
+        if recorder._video.is_over:
             break
         recorder.put_frame(Frame(rng.integers(0, 256, (480, 640, 3), np.uint8), k, k / 10), SAMPLE)
-        until(lambda: recorder._frames.empty() or not recorder.is_alive())
-    assert told(recorder) == ["Record stopped: disk full"]
+        until(lambda: waiting_frames(recorder) == 0 or recorder._video.is_over)  # type: ignore[union-attr]
+    for step in steps:
+        recorder.put_step(step)
+    assert recorder.is_recording
+    assert told(recorder) == ["Video stopped: disk full"]
+    assert len(list(read_control(folder))) == len(steps)
 
 
-@pytest.mark.parametrize("kind", [OutputError, ValueError])
+@pytest.mark.parametrize(
+    ("error", "why"), [(OutputError("the encoder has died"), "the encoder has died"), (ValueError(""), "ValueError")]
+)
 def test_a_dead_encoder_ends_the_video_alone(
-    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch, error: Exception, why: str
 ) -> None:
     class Dead(LiveVideoFile):
         def write(self, frame: object, time_s: float) -> None:
-            raise kind("the encoder has died")
+            raise error
 
     monkeypatch.setattr(module, "LiveVideoFile", Dead)
     recorder = start(video="plain")
@@ -218,7 +250,7 @@ def test_a_dead_encoder_ends_the_video_alone(
     for step in steps:
         recorder.put_step(step)
         recorder.put_frame(frame_at(step.inputs.now_s), SAMPLE)
-    assert told(recorder) == ["Video stopped: the encoder has died"]
+    assert told(recorder) == [f"Video stopped: {why}"]
     assert len(list(read_control(folder))) == len(steps)
 
 
@@ -239,8 +271,8 @@ def test_what_cannot_be_recorded_ends_the_record_and_nothing_else(
     start: Callable[..., Recorder], steps: list[Step]
 ) -> None:
     recorder = start(video="none")
-    recorder.put_step(replace(steps[0], control=object()))  # type: ignore[arg-type]
-    until(lambda: not recorder.is_alive())
+    recorder.put_step(replace(steps[0], control=replace(steps[0].control, notes=object())))  # type: ignore[arg-type]
+    until(lambda: not recorder._steps.is_alive())
     assert told(recorder) == ["Record stopped: TypeError"]
 
 
@@ -262,16 +294,31 @@ def test_a_disk_with_too_little_room_is_not_begun_upon(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("video", "wanted"),
+    [("none", ["Record stopped: disk full"]), ("plain", ["Record stopped: disk full", "Video stopped: disk full"])],
+)
 def test_a_disk_that_fills_up_meanwhile_is_noticed(
+    start: Callable[..., Recorder], monkeypatch: pytest.MonkeyPatch, video: str, wanted: list[str]
+) -> None:
+    monkeypatch.setattr(module, "TIDY_S", 0.0)
+    recorder = start(video=video)
+    folder_of(recorder)
+    usage = shutil.disk_usage("/")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=999_999))
+    until(lambda: not any(writer.is_alive() for writer in recorder._writers))
+    assert sorted(told(recorder)) == wanted
+
+
+def test_a_record_that_was_removed_meanwhile_is_noticed(
     start: Callable[..., Recorder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "TIDY_S", 0.0)
     recorder = start(video="none")
-    folder_of(recorder)
-    usage = shutil.disk_usage("/")
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: usage._replace(free=999_999))
-    until(lambda: not recorder.is_alive())
-    assert told(recorder) == ["Record stopped: disk full"]
+    folder = folder_of(recorder)
+    folder.rename(folder.with_name("elsewhere"))
+    until(lambda: not recorder._steps.is_alive())
+    assert told(recorder) == ["Record stopped: no such file or directory"]
 
 
 def test_a_flight_that_alone_is_too_large_ends_its_record(
@@ -281,9 +328,24 @@ def test_a_flight_that_alone_is_too_large_ends_its_record(
     recorder = start(video="none", max_total_mb=0.1)
     folder = folder_of(recorder)
     (folder / "ballast").write_bytes(bytes(200_000))
-    until(lambda: not recorder.is_alive())
+    until(lambda: not recorder._steps.is_alive())
     assert told(recorder) == ["Record stopped: record.max_total_mb reached"]
     assert (folder / "ballast").exists()
+
+
+def test_a_video_whose_steps_have_ended_is_no_larger_than_a_flight_may_be(
+    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TIDY_S", 0.0)
+    recorder = start(video="plain", max_total_mb=0.1)
+    folder = folder_of(recorder)
+    recorder.put_step(replace(steps[0], control=replace(steps[0].control, notes=object())))  # type: ignore[arg-type]
+    until(lambda: not recorder._steps.is_alive())
+    assert recorder._video is not None
+    assert recorder._video.is_alive()
+    (folder / "ballast").write_bytes(bytes(200_000))
+    until(lambda: not recorder._video.is_alive())  # type: ignore[union-attr]
+    assert told(recorder) == ["Record stopped: TypeError", "Video stopped: record.max_total_mb reached"]
 
 
 class Blocked(FlightRecord):
@@ -298,26 +360,117 @@ class Blocked(FlightRecord):
         self._control = os.fdopen(writer, "wb")
 
 
-def test_a_writer_that_hangs_holds_nobody_up_and_what_is_dropped_is_counted(
+def at(step: Step, now_s: float) -> Step:
+    return replace(step, inputs=replace(step.inputs, now_s=now_s))
+
+
+def test_a_disk_that_hangs_holds_nobody_up_and_the_video_goes_on(
     start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "FlightRecord", Blocked)
-    recorder = start(video="plain", video_frames_per_s=60)
-    folder_of(recorder)
+    recorder = start(video="plain", video_frames_per_s=10)
+    folder = folder_of(recorder)
     put = 0
     while not recorder.steps_dropped:  # a pipe holds 64 kB, the queue MAX_STEPS
-        recorder.put_step(steps[put % len(steps)])
-        recorder.put_frame(frame_at(float(put)), SAMPLE)
+        recorder.put_step(at(steps[put % len(steps)], 0.0))
         put += 1
+        assert put < 2 * MAX_STEPS
     assert put > MAX_STEPS
-    assert recorder.frames_dropped > 0
-    assert recorder._frames.qsize() <= MAX_FRAMES
+    assert texts_of(recorder) == [BEHIND]
+    recorder.put_step(at(steps[0], STALLED_S - 0.1))
+    assert texts_of(recorder) == []
+    recorder.put_step(at(steps[0], STALLED_S + 0.1))
+    assert texts_of(recorder) == [STALLED]
+    recorder.put_step(at(steps[0], 3 * STALLED_S))
+    assert texts_of(recorder) == []  # each is said once
+    assert recorder.steps_dropped == 4
+    for k in range(20):
+        recorder.put_frame(frame_at(k / 10), SAMPLE)
+        until(lambda: waiting_frames(recorder) == 0)
     recorder.end(0.0)  # it hangs on: nobody waits for it
-    assert recorder.is_alive()
+    assert recorder._steps.is_alive()
+    until(lambda: not recorder._video.is_alive())  # type: ignore[union-attr]
+    assert len(times_s(folder / VIDEO)) == 20
     with os.fdopen(Blocked.reader, "rb") as pipe:
         lines = pipe.read().splitlines()  # the disk is back
     assert len(lines) == put
-    assert lines[-1] == b'{"missing":1}'
+    assert lines[-1] == b'{"missing":4}'
+
+
+def test_an_encoder_that_hangs_takes_no_step_with_it(
+    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs, is_back = threading.Event(), threading.Event()
+
+    class Hanging(LiveVideoFile):
+        def write(self, frame: object, time_s: float) -> None:
+            hangs.set()
+            is_back.wait(LIMIT_S)
+
+    monkeypatch.setattr(module, "LiveVideoFile", Hanging)
+    recorder = start(video="plain", video_frames_per_s=10)
+    folder = folder_of(recorder)
+    count = MAX_STEPS + 300
+    try:
+        recorder.put_frame(frame_at(0.0), SAMPLE)
+        assert hangs.wait(LIMIT_S)
+        for k in range(count):
+            recorder.put_step(at(steps[k % len(steps)], k / 20))
+            recorder.put_frame(frame_at(1 + k / 20), SAMPLE)
+            if k % 100 == 0:
+                until(recorder._steps._waiting.empty)
+        assert texts_of(recorder) == ["Video of the record stalled"]
+        assert recorder.steps_dropped == 0
+        assert waiting_frames(recorder) == MAX_FRAMES
+        assert recorder.frames_dropped > 0
+        recorder.end(0.0)
+        until(lambda: not recorder._steps.is_alive())
+        assert recorder._video is not None
+        assert recorder._video.is_alive()
+        assert len(list(read_control(folder))) == count
+    finally:
+        is_back.set()
+
+
+def test_a_folder_that_is_long_in_coming_holds_nobody_up(
+    start: Callable[..., Recorder], steps: list[Step], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    is_back = threading.Event()
+    monkeypatch.setattr(module, "make_room", lambda *_: is_back.wait(LIMIT_S))
+    recorder = start(video="plain", video_frames_per_s=10)
+    try:
+        for k in range(3):
+            recorder.put_frame(frame_at(k / 10), SAMPLE)
+            recorder.put_step(at(steps[k], k * STALLED_S))
+        assert texts_of(recorder) == [STALLED, "Video of the record stalled"]
+        assert not recorder.is_recording
+    finally:
+        is_back.set()
+    folder = folder_of(recorder)
+    assert told(recorder) == []
+    assert len(list(read_control(folder))) == 3
+    assert times_s(folder / VIDEO) == [0.0, 0.1, 0.2]
+
+
+def test_who_is_slow_but_takes_something_is_not_stalled(steps: list[Step], tmp_path: Path) -> None:
+    recorder = Recorder(config_of(video="none"), tmp_path)
+    for k in range(300):  # 15 s of flight; the test is the thread, which is always behind
+        recorder.put_step(at(steps[0], k / 20))
+        if k % 80 == 79:
+            recorder._steps._waiting.get()
+            recorder._steps._taken += 1
+    assert texts_of(recorder) == []
+    recorder.put_step(at(steps[0], 300 / 20 + STALLED_S))
+    assert texts_of(recorder) == [STALLED]
+
+
+def test_who_has_nothing_to_take_is_not_stalled(steps: list[Step], tmp_path: Path) -> None:
+    recorder = Recorder(config_of(video="plain"), tmp_path)
+    for k in range(300):
+        recorder.put_step(at(steps[0], k / 20))
+        recorder._steps._waiting.get()  # and the camera is away
+        recorder._steps._taken += 1
+    assert texts_of(recorder) == []
 
 
 def test_steps_that_were_dropped_leave_a_gap_that_says_how_many(steps: list[Step], tmp_path: Path) -> None:
@@ -327,11 +480,11 @@ def test_steps_that_were_dropped_leave_a_gap_that_says_how_many(steps: list[Step
     assert recorder.steps_dropped == 5
     recorder.start()
     folder = folder_of(recorder)
-    until(recorder._steps.empty)
+    until(recorder._steps._waiting.empty)
     recorder.put_step(steps[0])
-    until(recorder._steps.empty)
-    recorder.steps_dropped += 2
-    assert told(recorder) == []
+    until(recorder._steps._waiting.empty)
+    recorder._steps.dropped += 2
+    assert told(recorder) == [BEHIND]
     entries = list(read_control(folder))
     assert len(entries) == MAX_STEPS + 3
     assert (entries[-3], entries[-1]) == (Gap(5), Gap(2))
@@ -340,113 +493,6 @@ def test_steps_that_were_dropped_leave_a_gap_that_says_how_many(steps: list[Step
 def test_one_that_was_never_started_ends_at_once(tmp_path: Path) -> None:
     Recorder(config_of(), tmp_path / "flights").end(LIMIT_S)
     assert not (tmp_path / "flights").exists()
-
-
-# ------------------------------------------------------------------------------------------------ the folders
-def flight(flights: Path, number: int, *, size: int = 1000, age_days: float = 0.0) -> Path:
-    """A record of a size and an age."""
-    folder = flights / f"20260101T000000Z-{number:04d}"
-    folder.mkdir(parents=True)
-    (folder / ABOUT).write_text(json.dumps({"record": KIND}))
-    (folder / CONTROL).write_bytes(bytes(size))
-    written_s = NOW.timestamp() - age_days * 86400
-    for path in folder.iterdir():
-        os.utime(path, (written_s, written_s))
-    return folder
-
-
-def limits(total_mb: float = 1.0, days: float = 30.0) -> RecordConfig:
-    return RecordConfig(max_total_mb=total_mb, max_age_days=days)
-
-
-def left(flights: Path) -> list[int]:
-    return sorted(int(path.name[-4:]) for path in flights.iterdir())
-
-
-def test_the_oldest_flights_go_until_the_rest_fits(tmp_path: Path) -> None:
-    for number in (1, 2, 3, 10):
-        flight(tmp_path, number, size=400_000)
-    used = remove_old(tmp_path, None, limits(1.0), NOW.timestamp())
-    assert left(tmp_path) == [3, 10]
-    assert 800_000 < used < 1_000_000
-
-
-def test_the_running_flight_is_never_removed(tmp_path: Path) -> None:
-    running = flight(tmp_path, 1, size=2_000_000, age_days=90)
-    flight(tmp_path, 2)
-    assert remove_old(tmp_path, running, limits(1.0), NOW.timestamp()) > 1e6
-    assert left(tmp_path) == [1]
-
-
-def test_flights_go_when_they_are_too_old(tmp_path: Path) -> None:
-    for number, age_days in ((1, 31.0), (2, 29.0), (3, 40.0)):
-        flight(tmp_path, number, age_days=age_days)
-    remove_old(tmp_path, None, limits(), NOW.timestamp())
-    assert left(tmp_path) == [2]
-
-
-def test_a_clock_that_was_not_set_makes_no_flight_old(tmp_path: Path) -> None:
-    flight(tmp_path, 1, age_days=NOW.timestamp() / 86400)  # written in 1970
-    flight(tmp_path, 2)
-    remove_old(tmp_path, None, limits(), NOW.timestamp())
-    assert left(tmp_path) == [1, 2]
-    remove_old(tmp_path, None, limits(), 0.0)
-    assert left(tmp_path) == [1, 2]
-
-
-def test_what_is_no_record_of_ours_stays(tmp_path: Path) -> None:
-    flights, elsewhere = tmp_path / "flights", flight(tmp_path / "elsewhere", 7, age_days=99)
-    flights.mkdir()
-    (flights / "link-0001").symlink_to(elsewhere)
-    (flights / "notes.txt").write_text("mine")
-    for name, about in (("holidays", None), ("other-0002", '{"record": "other"}'), ("bad-0003", "{")):
-        (flights / name).mkdir()
-        if about is not None:
-            (flights / name / ABOUT).write_text(about)
-    before = sorted(flights.iterdir())
-    for path in before:
-        os.utime(path, (1e9, 1e9))
-    remove_old(flights, None, limits(0.0), NOW.timestamp())
-    assert sorted(flights.iterdir()) == before
-    assert (elsewhere / CONTROL).exists()
-
-
-def test_a_record_with_a_report_and_folders_in_it_goes_whole(tmp_path: Path) -> None:
-    folder = flight(tmp_path / "flights", 1)
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("mine")
-    (folder / "more").mkdir()
-    (folder / "more" / "page.html").write_text("a page")
-    (folder / "link").symlink_to(tmp_path / "mine")
-    remove_old(tmp_path / "flights", None, limits(0.0), NOW.timestamp())
-    assert left(tmp_path / "flights") == []
-    assert (tmp_path / "mine" / "notes.txt").exists()
-
-
-def test_a_new_flight_is_after_all_others_whatever_the_clock_says(tmp_path: Path) -> None:
-    flight(tmp_path, 41)
-    (tmp_path / "notes-99").mkdir()
-    early = new_folder(tmp_path, datetime(1970, 1, 1, tzinfo=UTC))
-    (early / ABOUT).write_text(json.dumps({"record": KIND}))
-    late = new_folder(tmp_path, NOW)
-    assert (early.name, late.name) == ("19700101T000000Z-0042", "20260301T123005Z-0043")
-    assert new_folder(tmp_path, NOW).name == "20260301T123005Z-0044"  # the last one says not yet what it is
-
-
-@pytest.mark.parametrize(
-    ("folder", "environ", "wanted"),
-    [
-        ("/a/b", {"STATE_DIRECTORY": "/var/lib/x"}, "/a/b"),
-        ("", {"STATE_DIRECTORY": "/var/lib/x", "XDG_STATE_HOME": "/s"}, "/var/lib/x/flights"),
-        ("", {"STATE_DIRECTORY": "/var/lib/x:/var/lib/y"}, "/var/lib/x/flights"),
-        ("", {"XDG_STATE_HOME": "/s", "HOME": "/h"}, "/s/mscf-companion/flights"),
-        ("", {"XDG_STATE_HOME": "", "HOME": "/h"}, "/h/.local/state/mscf-companion/flights"),
-    ],
-)
-def test_flights_are_where_the_configuration_or_the_system_says(
-    folder: str, environ: dict[str, str], wanted: str
-) -> None:
-    assert flights_folder(RecordConfig(folder=folder), environ) == Path(wanted)
 
 
 # ------------------------------------------------------------------------------------------------ the overlay
@@ -473,6 +519,6 @@ def test_no_box_makes_the_overlay_raise(box: Box | None) -> None:
 
 def test_a_text_for_the_operator_fits_into_one_status_text(tmp_path: Path) -> None:
     recorder = Recorder(config_of(), tmp_path)
-    recorder._say_stopped("Record", "x" * 100)
+    recorder._steps._say_stopped("x" * 100)
     assert recorder.notices() == (Text(Severity.WARNING, ("Record stopped: " + "x" * 100)[:50]),)
     assert recorder.notices() == ()

@@ -205,3 +205,18 @@ def test_a_follower_that_never_engaged_asks_for_nothing_at_the_end(tmp_path: Pat
     record.close()
     result = replay(tmp_path)
     assert (result.steps, result.difference, result.missing) == (3, None, 0)
+
+
+def test_a_record_that_breaks_off_is_said_to(
+    copy: Path, flown: tuple[Path, list[Step]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (copy / CONTROL).read_bytes().splitlines(keepends=True)
+    (copy / CONTROL).write_bytes(b"".join(lines[:-1]))
+    assert cli.main(["replay", str(copy)]) == 0
+    assert capsys.readouterr().out.startswith(f"{len(flown[1])} steps, all equal; the record breaks off there: ")
+
+
+def test_a_record_without_a_step_is_nothing_to_replay(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / CONTROL).write_bytes(b"")
+    assert cli.main(["replay", str(copy)]) == 2
+    assert "there is nothing to replay" in capsys.readouterr().err

@@ -19,7 +19,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.config import parse
 from companion.follower import Step
 from companion.modes import Mode
-from companion.signing import STAMP_NAME, STAMPS_PER_S, Signing, stamp_at
+from companion.signing import STAMPS_PER_S, Signing, stamp_at
+from companion.signing_keeper import STAMP_NAME
 from companion.types import Select
 from sim.ardupilot import ArduCopter
 from sim.autopilot import Personality

@@ -2,6 +2,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -42,8 +43,9 @@ def trace_of(modes: Sequence[str], step_s: float = 0.5) -> Trace:
     return Trace(tuple(replace(MOMENT, time_s=step_s * k, mode=mode) for k, mode in enumerate(modes)))
 
 
-def plotted(trace: Trace, acts: Sequence[Act] = ()) -> Image:
-    picture = cv2.imdecode(np.frombuffer(plot_png("a run", trace, acts), np.uint8), cv2.IMREAD_COLOR)
+def plotted(trace: Trace, acts: Sequence[Act] = (), *, has_truth: bool = True) -> Image:
+    data = np.frombuffer(plot_png("a run", trace, acts, has_truth=has_truth), np.uint8)
+    picture = cv2.imdecode(data, cv2.IMREAD_COLOR)
     assert picture is not None
     return np.asarray(picture, np.uint8)
 
@@ -136,6 +138,28 @@ def test_what_is_not_known_leaves_gaps_and_any_length_is_plotted(count: int) -> 
     )
     moments = tuple(replace(bare, time_s=0.5 * k) for k in range(count))
     assert plotted(Trace(moments)).shape == plotted(trace_of(["following"] * 3)).shape
+    assert plotted(Trace(moments), has_truth=False).shape < plotted(trace_of(["following"] * 3), has_truth=False).shape
+
+
+def test_of_a_recorded_flight_only_what_is_known_has_a_panel() -> None:
+    unknown = {"target_ned_m": (NAN, NAN, NAN), "visible_share": NAN}
+    whole = tuple(replace(moment, **unknown) for moment in trace_of(["following"] * 3).moments)
+    fewer: list[dict[str, Any]] = [
+        {"range_m": None},
+        {"frame_age_s": None},
+        {"setpoint_ned_mps": None, "velocity_ned_mps": (NAN, NAN, NAN)},
+        {"yaw_rate_radps": None, "pose": Pose((0.0, 0.0, -14.0), NAN, NAN, NAN)},
+        {"confidence": NAN, "threat": NAN},
+        {"pose": Pose((NAN, NAN, NAN), NAN, NAN, NAN)},
+    ]
+    heights_px = [plotted(Trace(whole), has_truth=False).shape[0]]
+    for gone in fewer:
+        whole = tuple(replace(moment, **gone) for moment in whole)
+        heights_px.append(plotted(Trace(whole), has_truth=False).shape[0])
+    steps_px = -np.diff(heights_px)
+    assert heights_px[0] == plotted(trace_of(["following"])).shape[0]  # the bearing's place is the height's
+    assert steps_px[:-1] == pytest.approx(209, abs=1)
+    assert steps_px[-1] == 0  # empty axes are left, with the modes
 
 
 def test_the_same_run_gives_the_same_file() -> None:

@@ -10,7 +10,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -21,7 +20,7 @@ from companion.follower import Follower
 from mscf.errors import OutputError
 from mscf.recording import LiveVideoFile
 from sim.eyes import TrueEyes
-from sim.flight_report import add_command, plot_png, run_of, write_report
+from sim.flight_report import add_command, run_of, write_report
 from sim.loop import OUR_CLOCK_S
 from sim.report import FILM, PAGE, PLOTS, POSTER, TRACE, VERDICT
 from sim.scenarios import SCENARIOS, fly
@@ -144,25 +143,6 @@ def test_the_trace_has_no_columns_that_nobody_can_fill(flown: tuple[Path, Trace]
     assert not any("true" in name or "target" in name or name in {"iou", "visible_share"} for name in names)
 
 
-def test_only_what_is_known_is_plotted(flown: tuple[Path, Trace]) -> None:
-    run = run_of(flown[0], COMMAND)
-
-    def height_px(trace: Trace) -> int:
-        data = np.frombuffer(plot_png(replace(run, trace=trace)), np.uint8)
-        picture = cv2.imdecode(data, cv2.IMREAD_COLOR)
-        assert picture is not None
-        return picture.shape[0]
-
-    whole = height_px(run.trace)
-    blind = tuple(replace(moment, range_m=None, frame_age_s=None) for moment in run.trace.moments)
-    nothing = tuple(
-        replace(m, setpoint_ned_mps=None, yaw_rate_radps=None, confidence=math.nan, threat=math.nan) for m in blind
-    )
-    assert height_px(Trace(blind)) < whole
-    assert height_px(Trace(nothing)) < height_px(Trace(blind))
-    assert height_px(Trace(nothing[:1])) > 0
-
-
 def test_a_flight_of_which_nothing_was_heard_or_seen_makes_a_page(tmp_path: Path) -> None:
     config = parse("[camera]\nfocal_px = 900\n")
     follower, record = Follower(config), FlightRecord(tmp_path, config, 0.0, 0)
@@ -236,3 +216,22 @@ def test_a_place_that_cannot_be_written_is_named(
     (tmp_path / "taken").write_text("a file")
     with pytest.raises(OutputError, match=r"taken.* cannot be written"):
         command(str(flown[0]), "--out", str(tmp_path / "taken"))
+
+
+@pytest.mark.parametrize("name", [ABOUT, FILM])
+def test_another_flight_and_a_film_of_somebody_are_not_written_over(
+    flown: tuple[Path, Trace], tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).write_bytes(b"mine")
+    with pytest.raises(UsageError, match="give another folder with --out"):
+        write_report(flown[0], tmp_path, COMMAND)
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(name, b"mine")]
+
+
+def test_a_record_without_an_end_is_said_to_break_off(flown: tuple[Path, Trace], tmp_path: Path) -> None:
+    assert [act.name for act in run_of(flown[0], COMMAND).acts] == ["application ended"]
+    for name in (ABOUT, CONFIG, TLOG):
+        (tmp_path / name).write_bytes((flown[0] / name).read_bytes())
+    lines = (flown[0] / CONTROL).read_bytes().splitlines(keepends=True)
+    (tmp_path / CONTROL).write_bytes(b"".join(lines[:-1]))
+    assert [act.name for act in run_of(tmp_path, COMMAND).acts] == ["the record breaks off"]
