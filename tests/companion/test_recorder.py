@@ -310,6 +310,29 @@ def test_a_disk_that_fills_up_meanwhile_is_noticed(
     assert sorted(told(recorder)) == wanted
 
 
+def test_a_video_fills_no_disk_while_the_steps_hang(
+    start: Callable[..., Recorder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs, is_back = threading.Event(), threading.Event()
+
+    def hang(_: FlightRecord) -> None:
+        hangs.set()
+        is_back.wait(LIMIT_S)
+
+    monkeypatch.setattr(module, "TIDY_S", 0.0)
+    monkeypatch.setattr(FlightRecord, "sync", hang)
+    recorder = start(video="plain")
+    try:
+        assert hangs.wait(LIMIT_S)
+        usage = shutil.disk_usage("/")
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=999_999))
+        until(lambda: recorder._video is not None and recorder._video.is_over)
+        assert texts_of(recorder) == ["Video stopped: disk full"]
+        assert recorder.is_recording
+    finally:
+        is_back.set()
+
+
 def test_a_record_that_was_removed_meanwhile_is_noticed(
     start: Callable[..., Recorder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
