@@ -73,7 +73,7 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
     )
     sim.add_argument("--out", type=Path, default=Path("out/sim"), metavar="DIR", help="default: %(default)s")
     sim.add_argument("--duration", type=float, metavar="S", help="in place of the scenario's")
-    sim.add_argument("--no-video", action="store_true", help="for measuring: encoding takes its share of the machine")
+    sim.add_argument("--no-video", action="store_true", help="no film, for measuring: encoding takes its share")
     sim.add_argument("--no-record", action="store_true", help="for measuring: with --realtime, without a flight record")
     sim.add_argument("--seed", type=int, default=0, help="of the scenery, the gusts and the noise")
     sim.add_argument("--jobs", type=int, default=1, metavar="N", help="flights at a time (default: %(default)s)")
@@ -250,7 +250,7 @@ def _made(
             seed=task.seed,
             watcher=watch,
             folder=folder,
-            record=RecordConfig(enabled=task.has_record, video="overlay" if task.has_video else "none"),
+            record=RecordConfig(enabled=task.has_record),
         )
     config = scenario.config(stage(scenario.stage, 7 + task.seed))
     with _recorded(folder, config) as record:
