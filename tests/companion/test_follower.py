@@ -12,7 +12,7 @@ from companion.codec import rates_hz
 from companion.config import parse
 from companion.follower import Follower, Step
 from companion.modes import Mode
-from companion.types import Autopilot, Disengage, Engage, Select, TrackSample
+from companion.types import Autopilot, Disengage, Engage, Select, Severity, Text, TrackSample
 from mscf import TrackStatus
 
 COPTER, PX4 = 3, 12
@@ -323,3 +323,16 @@ def test_what_the_autopilot_says_is_handed_on_for_the_log() -> None:
     assert (said.severity, said.text) == (2, "Battery is low")
     assert link.follower.is_connected(link.now_s)
     assert link.follower.heartbeat is not None
+
+
+def test_what_an_edge_has_to_say_leaves_as_a_status_text_and_changes_nothing_else() -> None:
+    link, said = Link().engage(), "Record stopped: disk full"
+    link.run(2.0)
+    link.k += 1
+    notice = Text(Severity.WARNING, said)
+    step = link.follower.step(link.now_s, b"", None, notices=(notice,))
+    link._hear(step.data)
+    assert step.texts == (notice,)
+    assert [(m.severity, m.text) for _, m in link.of("STATUSTEXT")][-1] == (4, said)
+    assert step.control.mode is Mode.FOLLOWING
+    assert step.control.setpoint is not None
