@@ -20,7 +20,6 @@ from companion.capture import Capture
 from companion.config import Config
 from companion.control_socket import ControlSocket
 from companion.flight_folders import flights_folder
-from companion.flight_record import packets_in
 from companion.follower import Follower, Step
 from companion.latest import Latest
 from companion.link import Link
@@ -289,7 +288,7 @@ class App:
         self._notifier.send(STOPPING="1")
         now_s = time.monotonic()
         farewell = self._follower.farewell(now_s)
-        self._link.flush(farewell, FAREWELL_S)
+        self._link.flush(b"".join(farewell), FAREWELL_S)
         if self._keeper is not None:
             self._keeper.close()
         self._stop.set()
@@ -298,7 +297,7 @@ class App:
             if thread.ident is not None:
                 thread.join(JOIN_S)
         if self._recorder is not None:
-            self._recorder.put_farewell(now_s, packets_in(farewell))
+            self._recorder.put_farewell(now_s, farewell)
             self._recorder.end(RECORD_END_S)
         self._link.close()
         if self._control is not None:

@@ -206,17 +206,6 @@ def message_id(packet: bytes) -> int:
     return int.from_bytes(packet[7:10], "little")
 
 
-def packets_in(data: bytes) -> tuple[bytes, ...]:
-    """Packets of MAVLink 2 that stand one after the other: ten bytes of head, the load, two or fifteen of tail."""
-    packets = []
-    while data:
-        is_signed = data[2] & 1
-        length = 10 + data[1] + (15 if is_signed else 2)
-        packets.append(data[:length])
-        data = data[length:]
-    return tuple(packets)
-
-
 def versions() -> dict[str, str]:
     """Versions of what computes, and the kind of machine; nothing that names this one."""
     return {

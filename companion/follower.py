@@ -166,8 +166,8 @@ class Follower:
         received = tuple(bytes(message.get_msgbuf()) for message in messages)
         return Step(inputs, output, self._controller.vehicle, received, self._wire.drain(), texts, said)
 
-    def farewell(self, now_s: float) -> bytes:
-        """What to write when the process is asked to end: zero velocity three times, and the request to hold.
+    def farewell(self, now_s: float) -> tuple[bytes, ...]:
+        """Messages to write when the process is asked to end: zero velocity three times, and the request to hold.
 
         Nothing where setpoints do not flow: the vehicle is not ours then.
         """
@@ -180,7 +180,7 @@ class Follower:
             self._codec.send_mode_request(request)
             self._codec.send_text(Text(Severity.WARNING, f"Follow ended: {Reason.SHUTDOWN.value}"))
         self._gimbal.release()
-        return b"".join(self._wire.drain())
+        return self._wire.drain()
 
     def _tell(self, output: ControlOutput) -> None:
         """A change of mode that the controller has not spoken of; of several within a second, the last one."""

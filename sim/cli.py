@@ -14,7 +14,7 @@ import cv2
 
 from companion.config import Config, RecordConfig
 from companion.errors import UsageError
-from companion.flight_record import FlightRecord, packets_in
+from companion.flight_record import FlightRecord
 from companion.link import check_device
 from mscf.errors import OutputError
 from mscf.recording import VideoFile
@@ -261,7 +261,7 @@ def _made(
             seed=task.seed,
             watcher=watch,
             recorder=record.add,
-            farewell=lambda time_s, data: record.add_farewell(time_s, packets_in(data)),
+            farewell=record.add_farewell,
         )
     return trace, verdicts, {}
 

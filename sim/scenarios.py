@@ -5,7 +5,7 @@ scenario flies with both autopilots. The checks look at the truth, not at what t
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -644,7 +644,7 @@ def fly(
     seed: int = 0,
     watcher: Watcher | None = None,
     recorder: Callable[[Step], None] | None = None,
-    farewell: Callable[[float, bytes], None] | None = None,
+    farewell: Callable[[float, Sequence[bytes]], None] | None = None,
 ) -> tuple[Trace, tuple[Verdict, ...]]:
     """Fly a scenario in virtual time, and judge it.
 
@@ -654,7 +654,7 @@ def fly(
     eyes_of : makes what the application sees with, for a stage.
     watcher : is shown every moment with the newest frame.
     recorder : is given every step of the application.
-    farewell : is given its last words and their time.
+    farewell : is given the time of its last messages, and them.
     """
     place = stage(scenario.stage, 7 + seed)
     loop = Loop(

@@ -29,7 +29,6 @@ from companion.flight_record import (
     decoded,
     encoded,
     line_of,
-    packets_in,
     read_about,
     read_control,
 )
@@ -196,15 +195,6 @@ def test_gaps_and_the_farewell_have_their_own_lines(tmp_path: Path, config: Conf
     assert gap == Gap(7)
     ids = tuple(int.from_bytes(packet[7:10], "little") for packet in packets)
     assert farewell == Farewell(1005.5, ids)
-
-
-def test_packets_that_stand_one_after_the_other_are_told_apart(steps: list[Step]) -> None:
-    packets = tuple(packet for step in steps for packet in step.sent)
-    assert packets_in(b"".join(packets)) == packets
-    signed = bytearray(packets[0])
-    signed[2] |= 1
-    assert packets_in(bytes(signed) + bytes(13) + packets[1]) == (bytes(signed) + bytes(13), packets[1])
-    assert packets_in(b"") == ()
 
 
 def test_a_folder_that_cannot_be_made_is_an_error_of_the_system(tmp_path: Path, config: Config) -> None:

@@ -297,13 +297,13 @@ def test_a_request_for_a_mode_leaves_before_the_setpoint_of_its_step() -> None:
 
 def test_farewell_stands_and_asks_to_hold() -> None:
     link = Link().engage()
-    messages = mavlink.MAVLink(BytesIO()).parse_buffer(link.follower.farewell(link.now_s)) or []
+    messages = mavlink.MAVLink(BytesIO()).parse_buffer(b"".join(link.follower.farewell(link.now_s))) or []
     setpoints = [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
     assert [(m.vx, m.vy, m.vz, m.yaw_rate) for m in setpoints] == [(0.0, 0.0, 0.0, 0.0)] * 3
     (request,) = [m for m in messages if m.get_type() == "COMMAND_LONG"]
     assert (request.command, request.param2) == (176, 17)
     assert "shutting down" in next(m.text for m in messages if m.get_type() == "STATUSTEXT")
-    assert link.follower.farewell(link.now_s) == b""
+    assert link.follower.farewell(link.now_s) == ()
 
 
 def test_farewell_says_nothing_where_the_vehicle_is_not_ours() -> None:
@@ -311,7 +311,7 @@ def test_farewell_says_nothing_where_the_vehicle_is_not_ours() -> None:
     link.step(Select(AHEAD))
     link.run(1.0)
     assert link.steps[-1].control.mode is Mode.TRACKING
-    assert link.follower.farewell(link.now_s) == b""
+    assert link.follower.farewell(link.now_s) == ()
 
 
 def test_what_the_autopilot_says_is_handed_on_for_the_log() -> None:

@@ -319,7 +319,7 @@ def test_the_application_gives_the_gimbal_up_when_it_ends() -> None:
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
     data = b"".join(bytes(m.pack(other)) for m in (heartbeat, information(), status((VEHICLE, OURS))))
     follower.step(50.0, data, None)
-    messages = mavlink.MAVLink(None).parse_buffer(follower.farewell(50.1)) or []
+    messages = mavlink.MAVLink(None).parse_buffer(b"".join(follower.farewell(50.1))) or []
     assert [m.param1 for m in messages if m.get_type() == "COMMAND_LONG"] == [-3.0]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from companion import cli
 from companion.config import text_of
-from companion.flight_record import ABOUT, CONFIG, CONTROL, FlightRecord, line_of, packets_in
+from companion.flight_record import ABOUT, CONFIG, CONTROL, FlightRecord, line_of
 from companion.follower import Follower, Step
 from companion.replay import Difference, replay
 from companion.types import Parameter
@@ -40,7 +40,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     record = FlightRecord(folder, config, OUR_CLOCK_S, 0)
     for step in steps:
         record.add(step)
-    record.add_farewell(OUR_CLOCK_S + 9, packets_in(loop.follower.farewell(OUR_CLOCK_S + 9)))
+    record.add_farewell(OUR_CLOCK_S + 9, loop.follower.farewell(OUR_CLOCK_S + 9))
     record.close()
     return folder, steps
 
@@ -201,7 +201,7 @@ def test_a_follower_that_never_engaged_asks_for_nothing_at_the_end(tmp_path: Pat
     record = FlightRecord(tmp_path, config, 0.0, 0)
     for k in range(3):
         record.add(follower.step(float(k), b"", None))
-    record.add_farewell(3.0, packets_in(follower.farewell(3.0)))
+    record.add_farewell(3.0, follower.farewell(3.0))
     record.close()
     result = replay(tmp_path)
     assert (result.steps, result.difference, result.missing) == (3, None, 0)

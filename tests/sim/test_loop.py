@@ -385,7 +385,7 @@ def test_asked_to_end_it_leaves_the_vehicle_standing(kind: type[Personality]) ->
     loop = looped(kind, wait_s=8.0)
     engaged(loop)
     loop.run(15.0)
-    loop.autopilot.receive(loop.follower.farewell(OUR_CLOCK_S + loop.time_s))
+    loop.autopilot.receive(b"".join(loop.follower.farewell(OUR_CLOCK_S + loop.time_s)))
     loop.faults = Faults(is_app_stopped=True)
     loop.run(21.0)
     assert loop.autopilot.mode_name == HOLD[kind]
