@@ -182,15 +182,8 @@ class Loop:
 
     def _pose_at_close(self, pose: Pose) -> Pose:
         """The camera's pose when the shutter closes, by the vehicle's speed and its own rates."""
-        open_s = self.stage.camera.exposure_s
-        place = [p + v * open_s for p, v in zip(pose.pos_ned_m, self.autopilot.velocity_ned_mps, strict=True)]
-        pitch_rate_radps, yaw_rate_radps = self.autopilot.camera_rates_radps
-        return replace(
-            pose,
-            pos_ned_m=(place[0], place[1], place[2]),
-            pitch_rad=pose.pitch_rad + pitch_rate_radps * open_s,
-            yaw_rad=pose.yaw_rad + yaw_rate_radps * open_s,
-        )
+        autopilot = self.autopilot
+        return pose.moved(self.stage.camera.exposure_s, autopilot.velocity_ned_mps, *autopilot.camera_rates_radps)
 
     def _control(self, now_s: float) -> None:
         data = b""

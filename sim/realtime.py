@@ -27,7 +27,7 @@ from sim.autopilot import FakeAutopilot, Personality, Start
 from sim.camera import Truth, observe
 from sim.external import VIEW_DELAY_S, ExternalAutopilot
 from sim.loop import Faults, Watcher, gimbal_of, world_time_s
-from sim.report import RECORDS
+from sim.report import LOG, RECORDS
 from sim.scenarios import AUTOPILOTS, WAIT_S, Operator, Scenario, Verdict
 from sim.server import CameraServer, RealTime, Shot, open_end
 from sim.stages import Stage, stage
@@ -193,7 +193,7 @@ class Flight:
 
     def start_application(self) -> None:
         """Start it, and wait until it answers."""
-        with (self._folder / "application.log").open("ab") as log:
+        with (self._folder / LOG).open("ab") as log:
             self.process = subprocess.Popen(self.command, stderr=log, stdin=subprocess.DEVNULL)  # noqa: S603 - ours
         self.wait_for_application()
 
@@ -209,7 +209,7 @@ class Flight:
         while (answer := self._line.ask({"do": "status"})) is None:
             has_ended = self.process is not None and self.process.poll() is not None
             if has_ended or time.monotonic() > limit_s:
-                said = (self._folder / "application.log").read_text(errors="replace").splitlines()
+                said = (self._folder / LOG).read_text(errors="replace").splitlines()
                 raise UsageError(f"the application does not start: {said[-1] if said else 'it says nothing'}")
             time.sleep(POLL_S)
         self.status = answer
@@ -437,6 +437,6 @@ def _flown(flight: Flight, watcher: Watcher | None) -> tuple[Trace, tuple[Verdic
 
 def _keep(temporary: Path, folder: Path) -> None:
     """Keep what a person may want to read."""
-    for name in ("config.toml", "application.log"):
+    for name in ("config.toml", LOG):
         if (temporary / name).is_file():
             shutil.copyfile(temporary / name, folder / name)

@@ -12,7 +12,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -305,17 +305,11 @@ class RealTime:
         self._frame = max(self._frame + 1, int(self.time_s / FRAME_S))
         time.sleep(max(self._frame * FRAME_S - self.time_s, 0.0))
         with self.lock:
-            pose, velocity = self.autopilot.camera_pose, self.autopilot.velocity_ned_mps
-            pitch_rate_radps, yaw_rate_radps = self.autopilot.camera_rates_radps
+            pose = self.autopilot.camera_pose
+            at_close = pose.moved(
+                self.stage.camera.exposure_s, self.autopilot.velocity_ned_mps, *self.autopilot.camera_rates_radps
+            )
         time_s = self.time_s
-        open_s = self.stage.camera.exposure_s
-        moved = [p + v * open_s for p, v in zip(pose.pos_ned_m, velocity, strict=True)]
-        at_close = replace(
-            pose,
-            pos_ned_m=(moved[0], moved[1], moved[2]),
-            pitch_rad=pose.pitch_rad + pitch_rate_radps * open_s,
-            yaw_rad=pose.yaw_rad + yaw_rate_radps * open_s,
-        )
         image, truth = render(
             self.stage.world,
             self.stage.carried_camera,

@@ -8,7 +8,7 @@ target can leave the world.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -37,6 +37,18 @@ class Pose:
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     yaw_rad: float = 0.0
+
+    def moved(
+        self, dt_s: float, velocity_ned_mps: tuple[float, float, float], pitch_rate_radps: float, yaw_rate_radps: float
+    ) -> "Pose":
+        """Where it is `dt_s` later; the roll stays."""
+        north_m, east_m, down_m = (p + v * dt_s for p, v in zip(self.pos_ned_m, velocity_ned_mps, strict=True))
+        return replace(
+            self,
+            pos_ned_m=(north_m, east_m, down_m),
+            pitch_rad=self.pitch_rad + pitch_rate_radps * dt_s,
+            yaw_rad=self.yaw_rad + yaw_rate_radps * dt_s,
+        )
 
     def ned_from_body(self) -> Real64:
         """Rotation matrix (3, 3) that takes FRD body coordinates to NED: Rz(yaw) Ry(pitch) Rx(roll)."""
