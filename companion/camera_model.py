@@ -107,6 +107,13 @@ class CameraModel:
         scale = size_hw[1] / camera.width_px
         return cls(size_hw, config.focal_px * scale, camera.distortion, (mount[0], mount[1], mount[2]))
 
+    @property
+    def fov_deg(self) -> tuple[float, float]:
+        """Fields of view across and down, degrees, without the lens's distortion."""
+        height, width = self.size_hw
+        across_rad, down_rad = (2 * math.atan(side / 2 / self.focal_px) for side in (width, height))
+        return math.degrees(across_rad), math.degrees(down_rad)
+
     def mounted(self, rpy_rad: tuple[float, float, float]) -> "CameraModel":
         """The same camera, mounted otherwise."""
         return replace(self, mount_rpy_rad=rpy_rad)

@@ -385,15 +385,9 @@ class CameraProtocol:
         """
         camera = self._config.camera
         height, width = self._size_hw or (camera.height_px, camera.width_px)
-        across_deg, _ = self._fov_deg((height, width))
+        across_deg, _ = CameraModel.of(self._config, (height, width)).fov_deg
         running = mavlink.VIDEO_STREAM_STATUS_FLAGS_RUNNING
         return running, camera.frames_per_s, width, height, 0, 0, round(across_deg)
-
-    def _fov_deg(self, size_hw: tuple[int, int]) -> tuple[float, float]:
-        """Fields of view across and down, without the lens's distortion."""
-        focal_px = CameraModel.of(self._config, size_hw).focal_px
-        height, width = size_hw
-        return math.degrees(2 * math.atan(width / 2 / focal_px)), math.degrees(2 * math.atan(height / 2 / focal_px))
 
     def _send_fov_status(self, now_s: float) -> None:
         place, attitude, camera = self._vehicle.place, self._vehicle.fresh_attitude(now_s), self._config.camera
@@ -405,7 +399,9 @@ class CameraProtocol:
             mount_deg = (camera.mount_roll_deg, camera.mount_pitch_deg, camera.mount_yaw_deg)
             body = quaternion(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
             q = product(body, quaternion(*map(math.radians, mount_deg)))
-        fov_deg = self._fov_deg(self._size_hw) if self._size_hw is not None else (_UNKNOWN, _UNKNOWN)
+        fov_deg = (_UNKNOWN, _UNKNOWN)
+        if self._size_hw is not None:
+            fov_deg = CameraModel.of(self._config, self._size_hw).fov_deg
         nowhere = (_INT32_MAX, _INT32_MAX, _INT32_MAX)  # what the middle of the picture shows
         self._mav.camera_fov_status_send(_boot_ms(now_s), *here, *nowhere, q, *fov_deg)
 

@@ -255,7 +255,7 @@ def describe(config: Config) -> str:
     """The configuration in a line."""
     camera = config.camera
     model = CameraModel.of(config, (camera.height_px, camera.width_px))
-    fov_deg = math.degrees(2 * math.atan(camera.width_px / 2 / model.focal_px))
+    fov_deg, _ = model.fov_deg
     return (
         f"{camera.source} {camera.width_px} x {camera.height_px}, {fov_deg:.0f} deg, pitch "
         f"{camera.mount_pitch_deg:g} deg; {config.link.device}; {config.follow.mode}"

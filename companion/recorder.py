@@ -17,8 +17,6 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
-import cv2
-
 from companion.config import Config
 from companion.flight_folders import check_free, make_room, new_folder
 from companion.flight_record import VIDEO, FlightRecord
@@ -26,6 +24,7 @@ from companion.follower import Step
 from companion.types import Frame, Severity, Text, TrackSample
 from mscf.arrays import Image
 from mscf.errors import OutputError
+from mscf.overlay import draw_box, draw_text
 from mscf.recording import LiveVideoFile
 
 logger = logging.getLogger(__name__)
@@ -37,8 +36,7 @@ STALLED_S = 5.0  # without anything taken; a card that is slow to sync needs a s
 MAX_TEXT = 50  # characters of a status text
 _TAKE_S = 0.1
 _WORDS = {errno.ENOSPC: "disk full", errno.EDQUOT: "disk full"}
-_GOOD_BGR, _POOR_BGR, _LIGHT_BGR, _DARK_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255), (0, 0, 0)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_GOOD_BGR, _POOR_BGR, _LIGHT_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)
 
 _Item = TypeVar("_Item")
 
@@ -339,17 +337,9 @@ def drawn(image: Image, sample: TrackSample, mode: str) -> Image:
     picture = image.copy()
     unit = max(image.shape[0] / 720, 0.5)  # sizes below are for 720 rows
     if sample.box is not None and sample.box.is_finite:
-        # a box far outside would overflow OpenCV's fixed-point coordinates
-        limit = 4.0 * max(image.shape)
-        box = sample.box
-        corners = (box.x, box.y, box.x + box.w - 1, box.y + box.h - 1)
-        left, top, right, bottom = (round(min(max(value, -limit), limit)) for value in corners)
-        color = _GOOD_BGR if sample.is_measured else _POOR_BGR
-        cv2.rectangle(picture, (left, top), (right, bottom), color, max(1, round(2 * unit)), cv2.LINE_AA)
+        draw_box(picture, sample.box, _GOOD_BGR if sample.is_measured else _POOR_BGR, max(1, round(2 * unit)))
     status = sample.status.name.lower() if sample.status is not None else "none"
     text = f"{mode} | target {status}, confidence {sample.confidence:.2f}" if sample.status is not None else mode
-    origin = round(12 * unit), round(30 * unit)  # at the top: players have their controls at the bottom
-    # dark under light: legible on any ground
-    for color, width in ((_DARK_BGR, 4), (_LIGHT_BGR, 1.5)):
-        cv2.putText(picture, text, origin, _FONT, 0.7 * unit, color, max(1, round(width * unit)), cv2.LINE_AA)
+    # at the top: players have their controls at the bottom
+    draw_text(picture, text, (round(12 * unit), round(30 * unit)), _LIGHT_BGR, unit)
     return picture

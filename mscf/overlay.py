@@ -59,15 +59,16 @@ def draw(
     unit = max(frame.shape[0] / 720, 0.35)  # sizes below are for 720 rows
     width_px = max(1, round(2 * unit))
     for tracker, color in reversed(list(zip(trackers, COLORS_BGR, strict=False))):  # the first one on top
-        _rectangle(picture, tracker.box, color, width_px)
+        draw_box(picture, tracker.box, color, width_px)
     if truth is not None:
-        _rectangle(picture, truth, TRUTH_BGR, 1)
+        draw_box(picture, truth, TRUTH_BGR, 1)
     _captions(picture, caption, trackers, unit, has_truth=truth is not None)
     _panels(picture, trackers, response, unit)
     return picture
 
 
-def _rectangle(picture: Image, box: Box, color: tuple[int, int, int], width_px: int) -> None:
+def draw_box(picture: Image, box: Box, color: tuple[int, int, int], width_px: int) -> None:
+    """Draw a finite box into a picture (H, W, 3), wherever it lies."""
     # a box far outside would overflow OpenCV's fixed-point coordinates
     limit = 4 * max(picture.shape)
     corners = np.clip([box.x, box.y, box.x + box.w - 1, box.y + box.h - 1], -limit, limit)
@@ -82,9 +83,14 @@ def _captions(picture: Image, caption: str, trackers: Sequence[Shown], unit: flo
     texts += [("true box", TRUTH_BGR)] if has_truth else []
     for index, (text, color) in enumerate(texts, start=1):
         origin = round(12 * unit), index * line_px
-        # dark under light: legible on any ground
-        cv2.putText(picture, text, origin, _FONT, 0.6 * unit, (0, 0, 0), max(2, round(4 * unit)), cv2.LINE_AA)
-        cv2.putText(picture, text, origin, _FONT, 0.6 * unit, color, max(1, round(1.5 * unit)), cv2.LINE_AA)
+        draw_text(picture, text, origin, color, unit)
+
+
+def draw_text(picture: Image, text: str, origin_xy: tuple[int, int], color: tuple[int, int, int], unit: float) -> None:
+    """Write into a picture (H, W, 3), from where the first letter stands; `unit` is 1 for 720 rows."""
+    # dark under light: legible on any ground
+    cv2.putText(picture, text, origin_xy, _FONT, 0.6 * unit, (0, 0, 0), max(2, round(4 * unit)), cv2.LINE_AA)
+    cv2.putText(picture, text, origin_xy, _FONT, 0.6 * unit, color, max(1, round(1.5 * unit)), cv2.LINE_AA)
 
 
 def _panels(picture: Image, trackers: Sequence[Shown], response: Real | None, unit: float) -> None:
