@@ -176,7 +176,9 @@ class GroundConfig:
     engage_command: int = setting(0, low=0, high=31014)  # MAV_CMD_USER_1 to _5: 31010..31014; 0: none
     stream_uri: str = setting("")  # of the video that the operator sees; empty: none
     stream_encoding: str = setting("h264", choices=("h264", "h265"))
-    plain_status: bool = setting(default=False)  # "coasting" told as "active", for QGroundControl before 5.0
+    plain_status: bool = setting(
+        default=False
+    )  # "coasting" told as "active", for ground stations that hide the box else
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
