@@ -20,7 +20,7 @@ from companion.capture import Capture
 from companion.config import Config
 from companion.control_socket import ControlSocket
 from companion.flight_folders import flights_folder
-from companion.follower import Follower, Step
+from companion.follower import Follower, Step, StepError
 from companion.latest import Latest
 from companion.link import Link
 from companion.notify import Notifier
@@ -176,9 +176,14 @@ class App:
         is_fresh = sample is not None and now_s - sample.captured_s <= MAX_HEALTHY_AGE_S and not sample.fault
         is_healthy = not self._capture.fault.value and is_fresh
         notices = self._recorder.notices() if self._recorder is not None else ()
-        step = self._follower.step(
-            now_s, data, sample, commands, is_healthy=is_healthy, is_sent=self._is_sent, notices=notices
-        )
+        try:
+            step = self._follower.step(
+                now_s, data, sample, commands, is_healthy=is_healthy, is_sent=self._is_sent, notices=notices
+            )
+        except StepError as error:  # ends the run; which step it was is what is asked first afterwards
+            if self._recorder is not None:
+                self._recorder.put_failed(error.failed)
+            raise
         self._is_sent = self._link.write(step.data)
         if step.control.setpoint is not None and sample is not None:
             self._timing.add_setpoint(time.monotonic() - sample.captured_s)

@@ -4,6 +4,7 @@ import math
 import os
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TextIO
@@ -14,6 +15,7 @@ from companion.codec import MavlinkCodec
 from companion.config import Config
 from companion.controller import Controller
 from companion.errors import CompanionError
+from companion.flight_folders import NoRoomError, flights_folder, try_folder
 from companion.link import Link
 from companion.parameters import WANTED, advice
 from companion.signing import Signing, read_key, stamp_at
@@ -91,6 +93,41 @@ def check_camera(config: Config, out: TextIO) -> bool:
         is_right = size[0] * camera.height_px == size[1] * camera.width_px  # the same aspect: the model scales
     if rate_hz < MIN_RATE_SHARE * camera.frames_per_s and camera.pace == "rate":
         print(f"          WARNING: camera.frames_per_s says {camera.frames_per_s:g}: less light or USB 2?", file=out)
+    return is_right
+
+
+def check_record(config: Config, environ: Mapping[str, str], out: TextIO) -> bool:
+    """Try whether the record of a flight would be written, and leave nothing behind.
+
+    Parameters
+    ----------
+    environ : environment variables, which say where flights are recorded unless the configuration does.
+    """
+    record = config.record
+    if not record.enabled:
+        print("record    none: record.enabled = false", file=out)
+        return True
+    flights = flights_folder(record, environ)
+    is_right = True
+    try:
+        free_mb = try_folder(flights, record)
+    except NoRoomError as error:
+        print(f"record    FAILED: {error.strerror}", file=out)
+        is_right = False
+    except OSError as error:
+        why = error.strerror or error
+        print(f"record    FAILED: {flights} cannot be made or written: {why}; set record.folder", file=out)
+        is_right = False
+    else:
+        print(f"record    {flights}: can be written, {free_mb:.0f} MB free", file=out)
+    if not record.folder and not environ.get("STATE_DIRECTORY"):
+        print("          of who runs this; the service has a folder of its own", file=out)
+    if record.video != "none":
+        try:
+            import av  # noqa: F401, PLC0415 - an extra
+        except ImportError:
+            why = f'record.video = "{record.video}" needs PyAV: pip install av, or set "none"'
+            print(f"          WARNING: no film: {why}", file=out)
     return is_right
 
 

@@ -15,7 +15,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from companion.app import App
-from companion.check import check_camera, check_link, describe, print_signs
+from companion.check import check_camera, check_link, check_record, describe, print_signs
 from companion.config import FILE_NAME, Config, read, warnings, without_passwords
 from companion.control_socket import ORDER_NAMES, ControlSocket, ask
 from companion.errors import CompanionError, ConfigError, UsageError
@@ -70,8 +70,9 @@ def _parser(words: Sequence[str]) -> Parser:
 
     check = commands.add_parser(
         "check",
-        help="check a configuration, the camera, the link and the signs",
-        description="Check a configuration; exit status 78 where it is wrong, 1 where camera or link fail.",
+        help="check a configuration, the record, the camera, the link and the signs",
+        description="Check a configuration, and try whether a flight record can be written; exit status 78 where the "
+        "configuration is wrong, 1 where record, camera or link fail.",
     )
     _add_config(check)
     check.add_argument("--camera", action="store_true", help="open the camera, measure frame rate and age")
@@ -155,7 +156,9 @@ def _check(arguments: argparse.Namespace) -> int:
         print(f"          WARNING: {line}")
     if arguments.signs:
         print_signs(config, sys.stdout)
-    is_right = not arguments.camera or check_camera(config, sys.stdout)
+    is_right = check_record(config, os.environ, sys.stdout)
+    if arguments.camera:
+        is_right = check_camera(config, sys.stdout) and is_right
     if arguments.link:
         is_right = check_link(config, sys.stdout) and is_right
     return 0 if is_right else EXIT_FAILED
@@ -213,8 +216,13 @@ def _replay(arguments: argparse.Namespace) -> int:
     if result.missing:
         print(f"{result.steps} steps, all equal; the next {result.missing} were not recorded: what follows is unknown")
         return EXIT_FAILED
-    ending = "" if result.is_whole else "; the record breaks off there: the process was killed, or the disk was full"
-    print(f"{result.steps} steps, all equal{ending}")
+    raised = f"; in the last one the controller raised {result.raised}" if result.raised else ""
+    ending = (
+        ""
+        if result.is_whole or result.raised
+        else "; the record breaks off there: the process was killed, or the disk was full"
+    )
+    print(f"{result.steps} steps, all equal{raised}{ending}")
     return 0
 
 

@@ -6,18 +6,35 @@ import json
 import logging
 import os
 import shutil
+import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from companion.config import RecordConfig
-from companion.flight_record import ABOUT, KIND
+from companion.errors import UsageError
+from companion.flight_record import ABOUT, KIND, read_about
 
 logger = logging.getLogger(__name__)
 FOLDER = "mscf-companion/flights"  # below the user's own state folder
 _MB = 1e6
+_MAX_NAMED = 3
 _SET_CLOCK_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # a clock that says less was never set
+
+
+class NoRoomError(OSError):
+    """No more may be written; the text names the value and the mend.
+
+    Parameters
+    ----------
+    brief : the same in few words, for a status text.
+    """
+
+    def __init__(self, number: int, text: str, brief: str) -> None:
+        super().__init__(number, text)
+        self.brief = brief
 
 
 def flights_folder(config: RecordConfig, environ: Mapping[str, str]) -> Path:
@@ -59,7 +76,7 @@ def _records(flights: Path) -> list[Path]:
 def _is_record(folder: Path) -> bool:
     try:
         about = json.loads((folder / ABOUT).read_bytes())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(about, dict) and about.get("record") == KIND
 
@@ -101,12 +118,27 @@ def make_room(flights: Path, running: Path | None, config: RecordConfig, now_s: 
 
     Raises
     ------
+    NoRoomError
+        If there is none.
     OSError
-        If there is none, or the folder cannot be read.
+        If the folder cannot be read.
     """
-    if remove_old(flights, running, config, now_s) > config.max_total_mb * _MB:  # the running one alone
-        raise OSError(errno.EFBIG, "record.max_total_mb reached")
+    check_size(flights, remove_old(flights, running, config, now_s), config)  # of the running one alone, if too much
     check_free(flights, config)
+
+
+def check_size(folder: Path, size_bytes: float, config: RecordConfig) -> None:
+    """See that what a folder holds is no more than all flights may.
+
+    Raises
+    ------
+    NoRoomError
+        If it is.
+    """
+    if size_bytes > config.max_total_mb * _MB:
+        most = f"record.max_total_mb = {config.max_total_mb:g}"
+        text = f"{folder} holds {size_bytes / _MB:.0f} MB, {most}: fly shorter, or set it higher"
+        raise NoRoomError(errno.EFBIG, text, "record.max_total_mb reached")
 
 
 def check_free(flights: Path, config: RecordConfig) -> None:
@@ -114,13 +146,58 @@ def check_free(flights: Path, config: RecordConfig) -> None:
 
     Raises
     ------
+    NoRoomError
+        If it has not.
     OSError
-        If it has not, or cannot be asked.
+        If it cannot be asked.
     """
     free_mb = shutil.disk_usage(flights).free / _MB
     if free_mb < config.min_free_mb:
-        logger.warning("record: %.0f MB free in %s, record.min_free_mb = %g", free_mb, flights, config.min_free_mb)
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        least = f"record.min_free_mb = {config.min_free_mb:g}"
+        text = f"{flights} has {free_mb:.0f} MB free, {least}: free some, or set it lower"
+        raise NoRoomError(errno.ENOSPC, text, "below record.min_free_mb")
+
+
+def try_folder(flights: Path, config: RecordConfig) -> float:
+    """See that the folder of all flights can be made and written and has room; nothing is left of the trial.
+
+    Returns
+    -------
+    MB that are free there.
+
+    Raises
+    ------
+    NoRoomError
+        If less is free than is to stay so.
+    OSError
+        If it cannot be made or written.
+    """
+    there = next(path for path in (flights, *flights.absolute().parents) if os.path.lexists(path))
+    # a folder that this made would belong to whoever tries, and not to the service that is to write into it
+    with tempfile.TemporaryDirectory(dir=there) as trial:
+        Path(trial, ABOUT).write_bytes(b"{}")
+    check_free(there, config)
+    return shutil.disk_usage(there).free / _MB
+
+
+def about_of(folder: Path) -> dict[str, Any]:
+    """What a record says of itself; where there is none, those below the folder are named.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds no record.
+    """
+    try:
+        return read_about(folder)
+    except UsageError as error:
+        below = [path.parent for depth in ("*", "*/*") for path in folder.glob(f"{depth}/{ABOUT}")]
+        found = sorted(filter(_is_record, below), key=lambda path: (_number(path), path.name), reverse=True)
+        if not found:
+            raise
+        names = " or ".join(map(str, found[:_MAX_NAMED]))
+        more = f", the newest of {len(found)}" if len(found) > _MAX_NAMED else ""
+        raise UsageError(f"{error}; give a record below it: {names}{more}") from error
 
 
 def _measured(folder: Path) -> tuple[float, float]:

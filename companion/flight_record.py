@@ -8,7 +8,8 @@
 | `control.jsonl` | a line a step: `ControlInput` and `ControlOutput`, to the last bit |
 | `flight.mp4` | what the camera saw, where that is recorded |
 
-The lines are JSON: an object of ours is an object with its class in "is", an enumeration's value one with its "name", a
+A line for each of three other things: steps that are missing, the step whose controller raised, the last words. The
+lines are JSON: an object of ours is an object with its class in "is", an enumeration's value one with its "name", a
 tuple a list. Numbers keep every bit, and those that are not finite are spelled out. A record whose writer
 was killed ends with half a line, which readers leave out.
 """
@@ -25,15 +26,16 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
+from itertools import starmap
 from pathlib import Path
-from typing import Any, BinaryIO, get_args, get_type_hints
+from typing import Any, BinaryIO, get_args, get_origin, get_type_hints
 
 import cv2
 import numpy as np
 
 from companion.config import FILE_NAME, Config, text_of, without_passwords
 from companion.errors import UsageError
-from companion.follower import Step
+from companion.follower import FailedStep, Step
 from companion.types import ControlInput
 
 ABOUT = "about.json"
@@ -43,8 +45,10 @@ CONTROL = "control.jsonl"
 VIDEO = "flight.mp4"
 FILES = (ABOUT, CONFIG, TLOG, CONTROL, VIDEO)
 KIND = "mscf-companion flight"  # what `about.json` says of itself
+STATUSTEXT = 253
 FLUSH_S = 0.5  # of flight that a killed process may lose
 _STAMP = struct.Struct(">Q")
+_MAX_WHOLE = 2**63  # what stands for a float must be one that a float can hold
 _IS = "is"  # key of the class's name; no field is called so
 
 
@@ -112,6 +116,31 @@ def _kinds_in(kind: Any) -> Iterator[type]:
 
 
 _INPUT_KINDS = {kind.__name__: kind for kind in _kinds_in(ControlInput)}
+_HINTS = {kind: get_type_hints(kind) for kind in _INPUT_KINDS.values() if dataclasses.is_dataclass(kind)}
+
+
+def misfit(value: Any, hint: Any, name: str) -> str:
+    """What of a value is not of the type that a field says, by its name; empty: nothing.
+
+    A whole number may stand for a float.
+    """
+    if hint in _HINTS and type(value) is hint:
+        parts = ((getattr(value, part), kind, f"{name}.{part}") for part, kind in _HINTS[hint].items())
+        return next(filter(None, starmap(misfit, parts)), "")
+    kinds = get_args(hint)
+    if get_origin(hint) is tuple and isinstance(value, tuple):
+        kinds = kinds[:1] * len(value) if kinds[1:] == (...,) else kinds
+        if len(kinds) == len(value):
+            numbered = ((part, kind, f"{name}[{k}]") for k, (part, kind) in enumerate(zip(value, kinds, strict=True)))
+            return next(filter(None, starmap(misfit, numbered)), "")
+    elif kinds and get_origin(hint) is not tuple:  # one of several
+        own = type(value) if type(value) in kinds else None
+        found = [misfit(value, kind, name) for kind in ((own,) if own is not None else kinds)]
+        if own is not None or "" in found:
+            return "" if "" in found else found[0]
+    elif type(value) is hint or (hint is float and type(value) is int and abs(value) < _MAX_WHOLE):
+        return ""
+    return f"{name} = {str(value)[:40]!r} is of another type"
 
 
 def line_of(content: dict[str, Any]) -> bytes:
@@ -160,6 +189,12 @@ class FlightRecord:
             self._flushed_s = now_s
             self.flush()
 
+    def add_failed(self, failed: FailedStep) -> None:
+        """Append the step whose controller raised, and hand it over to the system at once."""
+        self._add_packets(failed.inputs.now_s, failed.received)
+        self._control.write(line_of({"inputs": encoded(failed.inputs), "raised": failed.raised}))
+        self.flush()
+
     def add_gap(self, count: int) -> None:
         """Say that so many steps are missing here."""
         self._control.write(line_of({"missing": count}))
@@ -167,13 +202,20 @@ class FlightRecord:
     def add_farewell(self, now_s: float, packets: Sequence[bytes]) -> None:
         """Append the last words, after which no step comes."""
         self._add_packets(now_s, packets)
-        self._control.write(line_of({"farewell": encoded(now_s), "messages": [message_id(p) for p in packets]}))
+        line = {"farewell": encoded(now_s), "messages": [message_id(packet) for packet in packets]}
+        texts = [status_text(packet) for packet in packets if message_id(packet) == STATUSTEXT]
+        self._control.write(line_of(line | {"texts": texts}))
         self.flush()
 
     def _add_packets(self, now_s: float, packets: Sequence[bytes]) -> None:
         stamp = _STAMP.pack(self._start_us + round((now_s - self._start_s) * 1e6))
         for packet in packets:
             self._tlog.write(stamp + packet)
+
+    @property
+    def size_bytes(self) -> int:
+        """Of what grows with the flight."""
+        return self._tlog.tell() + self._control.tell()
 
     def flush(self) -> None:
         """Hand over to the system what was added: no death of this process loses it."""
@@ -204,6 +246,15 @@ class FlightRecord:
 def message_id(packet: bytes) -> int:
     """Number of the message in a packet of MAVLink 2."""
     return int.from_bytes(packet[7:10], "little")
+
+
+def status_text(packet: bytes) -> str:
+    """Text of a STATUSTEXT in a packet of MAVLink 2, which leaves out zeros at the end of its payload.
+
+    Source: MAVLink's common.xml, message 253 (severity, then 50 characters), and the serialization of MAVLink 2.
+    """
+    payload = packet[10 : 10 + packet[1]]
+    return payload[1:51].rstrip(b"\0").decode("ascii", "replace")
 
 
 def versions() -> dict[str, str]:
@@ -237,6 +288,14 @@ class RecordedStep:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedFailure:
+    """The step whose controller raised, which ended the flight."""
+
+    inputs: ControlInput
+    raised: str  # class and text of the exception
+
+
+@dataclass(frozen=True, slots=True)
 class Gap:
     """Steps that were not recorded, as the writer came to nothing."""
 
@@ -249,6 +308,17 @@ class Farewell:
 
     now_s: float
     message_ids: tuple[int, ...]  # of the packets that were written then
+    texts: tuple[str, ...] = ()  # what the operator was told with them
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A line that is none of ours."""
+
+    text: str  # where it is, and what is wrong with it
+
+
+Entry = RecordedStep | RecordedFailure | Gap | Farewell | Damage
 
 
 def read_about(folder: Path) -> dict[str, Any]:
@@ -263,43 +333,89 @@ def read_about(folder: Path) -> dict[str, Any]:
         about = json.loads((folder / ABOUT).read_bytes())
     except OSError as error:
         raise UsageError(f"{folder} is no flight record: {ABOUT}: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UsageError(f"{folder} is no flight record: {ABOUT} is not JSON: {error}") from error
     if not isinstance(about, dict) or about.get("record") != KIND:
         raise UsageError(f"{folder} is no flight record: its {ABOUT} is of something else")
     return about
 
 
-def read_control(folder: Path) -> Iterator[RecordedStep | Gap | Farewell]:
+def read_control(folder: Path) -> Iterator[Entry]:
     """The lines of a record, in order; half a line at the end is left out.
+
+    A line that is none of ours, or goes back in time, comes as `Damage`: whoever reads on must say so.
 
     Raises
     ------
     UsageError
-        If the file is not there, or a line of it is none of ours.
+        If the file is not there.
     """
-    path = folder / CONTROL
+    path, last_s = folder / CONTROL, -math.inf
     try:
         with path.open("rb") as file:
             for number, line in enumerate(file, start=1):
                 if not line.endswith(b"\n"):
                     return
-                yield _entry(line, f"{path}, line {number}")
+                try:
+                    entry = _entry(line)
+                    last_s = _checked_time_s(entry, last_s)
+                except (KeyError, TypeError, ValueError, RecursionError) as error:
+                    why = f"{type(error).__name__}: {error}"
+                    entry = Damage(f"{path}, line {number} is damaged, or of another version: {why}")
+                yield entry
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def _entry(line: bytes, place: str) -> RecordedStep | Gap | Farewell:
-    try:
-        content = json.loads(line)
-        if "missing" in content:
-            return Gap(int(content["missing"]))
-        if "farewell" in content:
-            return Farewell(float(content["farewell"]), tuple(content["messages"]))
-        inputs, output = decoded(content["inputs"]), content["output"]
-        texts = tuple(content.get("texts", ()))
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise UsageError(f"{place} is damaged, or of another version: {type(error).__name__}: {error}") from error
-    if not isinstance(inputs, ControlInput) or not isinstance(output, dict):
-        raise UsageError(f"{place} is damaged, or of another version: it holds no step")
-    return RecordedStep(inputs, output, texts)
+def _entry(line: bytes) -> Entry:
+    content = json.loads(line, parse_constant=_finite, parse_float=_finite)
+    if not isinstance(content, dict):
+        raise TypeError("it is no object")
+    if "missing" in content:
+        count = _checked(content["missing"], int, "missing")
+        if count < 1:
+            raise ValueError(f"{count} steps cannot be missing")
+        return Gap(count)
+    texts = _checked(decoded(content.get("texts", [])), tuple[str, ...], "texts")
+    if "farewell" in content:
+        time_s = _checked(decoded(content["farewell"]), float, "farewell")
+        return Farewell(time_s, _checked(decoded(content["messages"]), tuple[int, ...], "messages"), texts)
+    inputs = _checked(decoded(content["inputs"]), ControlInput, "inputs")
+    if "raised" in content:
+        return RecordedFailure(inputs, _checked(content["raised"], str, "raised"))
+    return RecordedStep(inputs, _checked(content["output"], dict, "output"), texts)
+
+
+def _checked(value: Any, hint: Any, name: str) -> Any:
+    wrong = misfit(value, hint, name)
+    if wrong:
+        raise TypeError(wrong)
+    return value
+
+
+def _finite(text: str) -> float:
+    """A number of strict JSON that a float can hold."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is no finite number")
+    return value
+
+
+def time_of(entry: Entry) -> float | None:
+    """When it was, on the clock of the record; None: it does not say."""
+    match entry:
+        case RecordedStep() | RecordedFailure():
+            return entry.inputs.now_s
+        case Farewell():
+            return entry.now_s
+    return None
+
+
+def _checked_time_s(entry: Entry, last_s: float) -> float:
+    """Time of an entry, or of the last where it has none, before which it must not be."""
+    time_s = time_of(entry)
+    if time_s is None:
+        return last_s
+    if not last_s <= time_s < math.inf:
+        raise ValueError(f"its time is {time_s}, after one of {last_s}")
+    return time_s

@@ -75,6 +75,31 @@ class Step:
         return b"".join(self.sent)
 
 
+@dataclass(frozen=True, slots=True)
+class FailedStep:
+    """What a step was given whose controller raised: nothing was decided."""
+
+    inputs: ControlInput
+    received: tuple[bytes, ...]  # messages that have come
+    raised: str  # class and text of the exception
+
+
+class StepError(RuntimeError):
+    """The controller raised: a mistake of this code, which ends the run; with it goes what the record needs."""
+
+    def __init__(self, failed: FailedStep) -> None:
+        super().__init__(failed)  # and nothing else: the simulator hands it from process to process
+        self.failed = failed
+
+    def __str__(self) -> str:
+        return f"the controller raised {self.failed.raised}"
+
+
+def described(error: Exception) -> str:
+    """Class and text of an exception, in a line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 class Follower:
     """Runs the controller on one vehicle's link.
 
@@ -131,6 +156,12 @@ class Follower:
         is_healthy : whether camera and tracker work; the heartbeat says so.
         is_sent : whether the port has taken the last step's bytes.
         notices : what else the operator is to be told.
+
+        Raises
+        ------
+        StepError
+            If the controller raises, which is a mistake of this code; what was to be sent until then leaves with
+            `farewell`.
         """
         if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
             self._codec.send_time_request(now_s)  # before anything else: nothing that queues ahead delays its answer
@@ -139,7 +170,11 @@ class Follower:
         clicked = self._camera.receive(messages, track, now_s) if self._camera is not None else ()
         commands = (*self._at_start(track), *clicked, *commands, *self._ground.receive(messages, now_s))
         inputs = ControlInput(now_s, track, events, commands, is_sent)
-        output = self._controller.step(inputs)
+        received = tuple(bytes(message.get_msgbuf()) for message in messages)
+        try:
+            output = self._controller.step(inputs)
+        except Exception as error:
+            raise StepError(FailedStep(inputs, received, described(error))) from error
         self._ground.after(output.mode)
         if self._camera is not None:
             self._camera.after(output, self._controller.vehicle, track, now_s)
@@ -163,7 +198,6 @@ class Follower:
             if self._camera is not None:
                 self._camera.send_heartbeat(is_healthy=is_healthy)
         said = tuple(event for event in events if isinstance(event, AutopilotText))
-        received = tuple(bytes(message.get_msgbuf()) for message in messages)
         return Step(inputs, output, self._controller.vehicle, received, self._wire.drain(), texts, said)
 
     def farewell(self, now_s: float) -> tuple[bytes, ...]:

@@ -18,9 +18,9 @@ from queue import Empty, SimpleQueue
 from typing import Generic, TypeVar
 
 from companion.config import Config
-from companion.flight_folders import check_free, make_room, new_folder
+from companion.flight_folders import NoRoomError, check_free, make_room, new_folder
 from companion.flight_record import VIDEO, FlightRecord
-from companion.follower import Step
+from companion.follower import FailedStep, Step
 from companion.types import Frame, Severity, Text, TrackSample
 from mscf.arrays import Image
 from mscf.errors import OutputError
@@ -35,7 +35,17 @@ TIDY_S = 5.0
 STALLED_S = 5.0  # without anything taken; a card that is slow to sync needs a second or two
 MAX_TEXT = 50  # characters of a status text
 _TAKE_S = 0.1
-_WORDS = {errno.ENOSPC: "disk full", errno.EDQUOT: "disk full"}
+_FULL, _NO_FOLDER, _NOT_WRITABLE = "disk full", "record.folder is no folder", "record.folder cannot be written"
+_WORDS = {
+    errno.ENOSPC: _FULL,
+    errno.EDQUOT: _FULL,
+    errno.EEXIST: _NO_FOLDER,
+    errno.ENOTDIR: _NO_FOLDER,
+    errno.ENOENT: "record.folder is gone",
+    errno.EACCES: _NOT_WRITABLE,
+    errno.EPERM: _NOT_WRITABLE,
+    errno.EROFS: _NOT_WRITABLE,
+}
 _GOOD_BGR, _POOR_BGR, _LIGHT_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)
 
 _Item = TypeVar("_Item")
@@ -108,6 +118,10 @@ class Recorder:
         self._frame_due_s = next_s if next_s > captured_s else captured_s + period_s
         self._video.put((frame, sample, self._mode))
 
+    def put_failed(self, failed: FailedStep) -> None:
+        """Hand over the step whose controller raised, the last one; before `end`."""
+        self._steps.failed = failed
+
     def put_farewell(self, now_s: float, packets: Sequence[bytes]) -> None:
         """Hand over the last words; before `end`."""
         self._steps.farewell = now_s, packets
@@ -144,15 +158,17 @@ class _Writer(threading.Thread, Generic[_Item]):
     ----------
     name : as the operator is to read it.
     limit : how many items may wait.
+    flights : folder of all flights.
     """
 
-    def __init__(self, name: str, limit: int, notices: SimpleQueue[Text]) -> None:
+    def __init__(self, name: str, limit: int, flights: Path, notices: SimpleQueue[Text]) -> None:
         # joined like any other, but one that is stuck in a disk must not keep the process from ending
         super().__init__(name=name, daemon=True)
         self.dropped = 0
         self.stop_asked = threading.Event()
         self.is_over = False  # nothing more is taken
         self._limit = limit
+        self._flights = flights
         self._notices = notices
         self._waiting: SimpleQueue[_Item] = SimpleQueue()
         self._taken = 0
@@ -191,7 +207,7 @@ class _Writer(threading.Thread, Generic[_Item]):
                     self._tidy()
             self._finish()
         except (OSError, OutputError) as error:
-            logger.warning("%s: %s", self.name, error)
+            logger.warning("%s stopped: %s", self.name, _in_full(error, self._flights))
             self._say_stopped(_why(error))
         except Exception as error:  # the thread's top: a record is no reason to end a flight
             logger.exception(self.name)
@@ -226,11 +242,12 @@ class _StepWriter(_Writer[tuple[Step, int]]):
     """Makes the folder, and writes steps, each of which comes with how many were dropped before."""
 
     def __init__(self, config: Config, flights: Path, notices: SimpleQueue[Text]) -> None:
-        super().__init__("Record", MAX_STEPS, notices)
+        super().__init__("Record", MAX_STEPS, flights, notices)
         self.folder: Path | None = None  # of this flight, once it is there
         self.has_begun = threading.Event()  # or failed to
+        self.failed: FailedStep | None = None
         self.farewell: tuple[float, Sequence[bytes]] | None = None
-        self._config, self._flights = config, flights
+        self._config = config
         self._record: FlightRecord | None = None
         self._gap = 0
 
@@ -272,6 +289,8 @@ class _StepWriter(_Writer[tuple[Step, int]]):
     def _finish(self) -> None:
         assert self._record is not None
         self._write_gap(self.dropped)
+        if self.failed is not None:
+            self._record.add_failed(self.failed)
         if self.farewell is not None:
             self._record.add_farewell(*self.farewell)
 
@@ -284,8 +303,8 @@ class _VideoWriter(_Writer[tuple[Frame, TrackSample, str]]):
     """Writes frames, with what was seen and the mode then, into the folder that is made for the steps."""
 
     def __init__(self, config: Config, flights: Path, notices: SimpleQueue[Text], steps: _StepWriter) -> None:
-        super().__init__("Video", MAX_FRAMES, notices)
-        self._config, self._flights, self._steps = config.record, flights, steps
+        super().__init__("Video", MAX_FRAMES, flights, notices)
+        self._config, self._steps = config.record, steps
         self._file: LiveVideoFile | None = None
 
     def run(self) -> None:
@@ -320,8 +339,21 @@ class _VideoWriter(_Writer[tuple[Frame, TrackSample, str]]):
             self._file.close()
 
 
+def _in_full(error: OSError | OutputError, flights: Path) -> str:
+    """What went wrong, with path and mend, for the log."""
+    if isinstance(error, OutputError):
+        return str(error)
+    if isinstance(error, NoRoomError):
+        return str(error.strerror)
+    words = _WORDS.get(error.errno or 0, "")
+    mend = f"; {words}: free some" if words == _FULL else f"; {words}: give one that can be written" if words else ""
+    return f"{error.filename or flights}: {error.strerror or error}{mend}"
+
+
 def _why(error: OSError | OutputError) -> str:
     """What went wrong, in few words."""
+    if isinstance(error, NoRoomError):
+        return error.brief
     # ours names the path and the mend, which is more than a status text holds
     cause = error.__cause__ or error if isinstance(error, OutputError) else error
     if isinstance(cause, ImportError):

@@ -7,19 +7,22 @@ from typing import Any
 from companion.config import read
 from companion.controller import Controller
 from companion.errors import ConfigError, UsageError
+from companion.flight_folders import about_of
 from companion.flight_record import (
     CONFIG,
     CONTROL,
+    STATUSTEXT,
+    Damage,
+    Farewell,
     Gap,
-    RecordedStep,
+    RecordedFailure,
     encoded,
     line_of,
-    read_about,
     read_control,
     versions,
 )
-
-_STATUSTEXT = 253  # sent at the end only together with a request for a flight mode
+from companion.follower import described
+from companion.types import ControlInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,7 @@ class Replay:
     missing : how many the recorder lost, after which nothing can be compared; 0: none.
     recorded_by : version of the project; None: the one that replays.
     is_whole : whether the record has its end: it breaks off where the process was killed, or the disk was full.
+    raised : what the controller raised in the last step, then as now; empty: nothing.
     """
 
     steps: int
@@ -48,6 +52,7 @@ class Replay:
     missing: int = 0
     recorded_by: str | None = None
     is_whole: bool = False
+    raised: str = ""
 
 
 def replay(folder: Path) -> Replay:
@@ -58,31 +63,45 @@ def replay(folder: Path) -> Replay:
     UsageError
         If the folder holds no record, or one that cannot be read.
     """
-    recorded_by = read_about(folder).get("mscf-companion")
+    recorded_by = about_of(folder).get("mscf-companion")
     other = str(recorded_by) if recorded_by != versions()["mscf-companion"] else None
     try:
         controller = Controller(read(folder / CONFIG))
     except ConfigError as error:  # that of a record is no configuration to be mended
         raise UsageError(str(error)) from error
-    steps, start_s, is_whole = 0, None, False
+    steps, start_s, is_whole, raised = 0, None, False, ""
     for entry in read_control(folder):
+        if isinstance(entry, Damage):
+            raise UsageError(f"{entry.text}; from there on nothing can be compared, the {steps} steps before are equal")
         if isinstance(entry, Gap):
             return Replay(steps, missing=entry.count, recorded_by=other)
-        if isinstance(entry, RecordedStep):
-            now_s = entry.inputs.now_s
-            start_s = now_s if start_s is None else start_s
-            found = _difference(entry.output, encoded(controller.step(entry.inputs)))
-        else:
-            is_whole, now_s = True, entry.now_s
-            start_s = now_s if start_s is None else start_s
-            was_asked, is_asked = _STATUSTEXT in entry.message_ids, controller.shut_down() is not None
+        now_s = entry.now_s if isinstance(entry, Farewell) else entry.inputs.now_s
+        start_s = now_s if start_s is None else start_s
+        if isinstance(entry, Farewell):
+            is_whole = True
+            # a status text is sent at the end only together with a request for a flight mode
+            was_asked, is_asked = STATUSTEXT in entry.message_ids, controller.shut_down() is not None
             found = None if was_asked is is_asked else ("request at the end", str(was_asked), str(is_asked))
+        else:
+            output, raised = _decided(controller, entry.inputs)
+            was_raised = entry.raised if isinstance(entry, RecordedFailure) else ""
+            found = ("exception", was_raised or "none", raised or "none") if raised != was_raised else None
+            if found is None and not isinstance(entry, RecordedFailure):
+                found = _difference(entry.output, output)
         if found is not None:
             return Replay(steps, Difference(steps + 1, now_s - start_s, found[0].lstrip("."), *found[1:]), 0, other)
-        steps += isinstance(entry, RecordedStep)
+        steps += not isinstance(entry, Farewell)
     if not steps:
         raise UsageError(f"{folder / CONTROL} has no step of a flight in it: there is nothing to replay")
-    return Replay(steps, recorded_by=other, is_whole=is_whole)
+    return Replay(steps, recorded_by=other, is_whole=is_whole, raised=raised)
+
+
+def _decided(controller: Controller, inputs: ControlInput) -> tuple[Any, str]:
+    """The output as JSON, and what was raised in its place, if anything was."""
+    try:
+        return encoded(controller.step(inputs)), ""
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is what is compared
+        return None, described(error)
 
 
 def _difference(recorded: Any, replayed: Any) -> tuple[str, str, str] | None:

@@ -14,9 +14,10 @@ import cv2
 
 from companion.config import Config, RecordConfig
 from companion.errors import UsageError
+from companion.flight_folders import NoRoomError, check_free, check_size
 from companion.flight_record import FlightRecord
+from companion.follower import FailedStep, Step, StepError
 from companion.link import check_device
-from mscf.errors import OutputError
 from mscf.recording import VideoFile
 from sim.autopilot import Personality
 from sim.external import ExternalAutopilot
@@ -31,12 +32,13 @@ from sim.stages import stage
 from sim.trace import Trace
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 
 EXIT_FAILED = 1
 EXTERNAL_BAUD = 115200  # where it is on a serial port
 STEPS_PER_S = 20  # moments a second, and frames of the video
+LOOK_STEPS = 1000  # between two looks at how much room there is, in which a record grows by a few MB
 VIRTUAL_START_US = 1_767_225_600_000_000  # 2026-01-01 UTC: flights in virtual time all begin then
 
 
@@ -206,7 +208,7 @@ def _fly(task: _Task) -> Run:
         seed=task.seed,
         trace=trace,
         verdicts=verdicts,
-        acts=scenario.acts,
+        acts=tuple(act for act in scenario.acts if trace.between(act.time_s)),  # the others did not happen
         facts=facts,
     )
     write_run(run, folder)
@@ -253,24 +255,79 @@ def _made(
             record=RecordConfig(enabled=task.has_record),
         )
     config = scenario.config(stage(scenario.stage, 7 + task.seed))
-    with _recorded(folder, config) as record:
-        trace, verdicts = fly(
-            scenario,
-            task.autopilot,
-            RenderedEyes,
-            seed=task.seed,
-            watcher=watch,
-            recorder=record.add,
-            farewell=record.add_farewell,
-        )
-    return trace, verdicts, {}
+    with closing(BoundedRecord(folder, config)) as record:
+        try:
+            trace, verdicts = fly(
+                scenario,
+                task.autopilot,
+                RenderedEyes,
+                seed=task.seed,
+                watcher=watch,
+                recorder=record.add,
+                farewell=record.add_farewell,
+            )
+        except StepError as error:
+            record.add_failed(error.failed)
+            raise
+    return trace, verdicts, {"record_stopped": record.stopped} if record.stopped else {}
 
 
-@contextmanager
-def _recorded(folder: Path, config: Config) -> "Iterator[FlightRecord]":
-    """What makes the flight record of a flight in virtual time, whose application has no recorder of its own."""
-    try:
-        with closing(FlightRecord(folder, config, OUR_CLOCK_S, VIRTUAL_START_US)) as record:
-            yield record
-    except OSError as error:
-        raise OutputError(f"{folder} cannot be written: {error.strerror or error}; give another folder") from error
+class BoundedRecord:
+    """The flight record of a flight in virtual time, whose application has no recorder of its own.
+
+    It ends where the disk or the record has reached its limit, says so, and lets the flight go on.
+
+    Parameters
+    ----------
+    folder : of the flight; it is there.
+    """
+
+    def __init__(self, folder: Path, config: Config) -> None:
+        self.stopped = ""  # why it has ended before the flight; empty: it has not
+        self._folder, self._limits = folder, config.record
+        self._record: FlightRecord | None = None
+        self._steps = 0
+        with self._stopping():
+            check_free(folder, config.record)
+            self._record = FlightRecord(folder, config, OUR_CLOCK_S, VIRTUAL_START_US)
+
+    def add(self, step: Step) -> None:
+        """Append a step."""
+        self._steps += 1
+        if self._steps % LOOK_STEPS == 0:
+            self._write(self._look)
+        self._write(lambda record: record.add(step))
+
+    def add_failed(self, failed: FailedStep) -> None:
+        """Append the step whose controller raised."""
+        self._write(lambda record: record.add_failed(failed))
+
+    def add_farewell(self, now_s: float, packets: "Sequence[bytes]") -> None:
+        """Append the last words."""
+        self._write(lambda record: record.add_farewell(now_s, packets))
+
+    def close(self) -> None:
+        """Finish."""
+        if self._record is not None:
+            with self._stopping():
+                self._record.close()
+
+    def _look(self, record: FlightRecord) -> None:
+        check_size(self._folder, record.size_bytes, self._limits)
+        check_free(self._folder, self._limits)
+
+    def _write(self, write: "Callable[[FlightRecord], None]") -> None:
+        if self._record is not None and not self.stopped:
+            with self._stopping():
+                write(self._record)
+
+    @contextmanager
+    def _stopping(self) -> "Iterator[None]":
+        """What goes wrong in it ends the record, and is said once."""
+        try:
+            yield
+        except OSError as error:
+            if not self.stopped:
+                place = "" if isinstance(error, NoRoomError) else f"{error.filename or self._folder}: "
+                self.stopped = f"{place}{error.strerror or error}"
+                print(f"mscf-companion: record stopped: {self.stopped}", file=sys.stderr)

@@ -8,11 +8,28 @@ import argparse
 import math
 import shlex
 import shutil
+import sys
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 from companion.errors import UsageError
-from companion.flight_record import ABOUT, VIDEO, Gap, RecordedStep, read_about, read_control
+from companion.flight_folders import about_of
+from companion.flight_record import (
+    ABOUT,
+    VIDEO,
+    Damage,
+    Entry,
+    Farewell,
+    Gap,
+    RecordedFailure,
+    RecordedStep,
+    decoded,
+    misfit,
+    read_control,
+    time_of,
+)
+from companion.modes import Mode
 from companion.types import AutopilotText
 from companion.vehicle_state import VehicleState
 from mscf.errors import OutputError
@@ -22,6 +39,7 @@ from sim.scenarios import Act
 from sim.trace import Moment, Trace
 from sim.world import Pose
 
+_ENDED = "application ended"
 _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
@@ -41,13 +59,19 @@ def _run(arguments: argparse.Namespace) -> int:
     words = ["--out", str(arguments.out)] if arguments.out is not None else []
     command = shlex.join(["mscf-companion", "report", str(arguments.folder), *words])
     out = arguments.folder if arguments.out is None else arguments.out
-    write_report(arguments.folder, out, command)
+    run = write_report(arguments.folder, out, command)
+    if "damage" in run.facts:
+        print(f"mscf-companion: {run.facts['damage']}", file=sys.stderr)
     print(f"page      {out / PAGE}")
     return 0
 
 
-def write_report(folder: Path, out: Path, command: str) -> None:
+def write_report(folder: Path, out: Path, command: str) -> Run:
     """Write page, plots and trace of a record, and a copy of its film where `out` is another folder.
+
+    Returns
+    -------
+    What was written of.
 
     Raises
     ------
@@ -74,37 +98,51 @@ def write_report(folder: Path, out: Path, command: str) -> None:
     except OSError as error:
         raise OutputError(f"{out / FILM} cannot be written: {error.strerror}; give another folder") from error
     write_page(run, out)
+    return run
 
 
 def run_of(folder: Path, command: str) -> Run:
-    """A recorded flight as a run without a verdict.
+    """A recorded flight as a run without a verdict; lines that are damaged are left out, and counted.
 
     Raises
     ------
     UsageError
-        If the folder holds no record, or one without a step.
+        If the folder holds no record, or one without a step that can be read.
     """
-    about = read_about(folder)
+    about = about_of(folder)
     moments: list[Moment] = []
     acts: list[Act] = []
-    vehicle, start_s, missing, is_whole = VehicleState(), math.nan, 0, False
-    for entry in read_control(folder):
-        time_s = moments[-1].time_s if moments else 0.0
-        if isinstance(entry, RecordedStep):
-            start_s = start_s if moments else entry.inputs.now_s
-            for event in entry.inputs.events:
-                vehicle = vehicle.after(event)
-            moments.append(moment_of(entry, vehicle, start_s))
-        elif isinstance(entry, Gap):
-            missing += entry.count
-            acts.append(Act(time_s, f"{entry.count} steps not recorded", _nothing))
-        else:
-            is_whole = True
-            acts.append(Act(time_s, "application ended", _nothing))
-    if not is_whole and moments:
-        acts.append(Act(moments[-1].time_s, "the record breaks off", _nothing))
+    damages: list[Damage] = []
+    last_words: tuple[tuple[float, str], ...] = ()
+    vehicle, start_s, missing = VehicleState(), math.nan, 0
+    for number, recorded in enumerate(read_control(folder), start=1):
+        now_s = time_of(recorded)
+        start_s = now_s if now_s is not None and math.isnan(start_s) else start_s
+        if isinstance(recorded, RecordedStep):
+            vehicle = reduce(VehicleState.after, recorded.inputs.events, vehicle)
+        entry = _seen(recorded, vehicle, start_s, f"{folder}, line {number}")
+        time_s = now_s - start_s if now_s is not None else moments[-1].time_s if moments else 0.0
+        match entry:
+            case Moment():
+                moments.append(entry)
+                continue
+            case Damage():
+                damages.append(entry)
+                if len(damages) > 1:  # said once: half the lines may be so
+                    continue
+            case Farewell():
+                last_words = tuple((time_s, text) for text in entry.texts)
+            case Gap():
+                missing += entry.count
+        acts.append(Act(time_s, _name(entry), _nothing))
     if not moments:
-        raise UsageError(f"{folder} holds no step of a flight: there is nothing to show")
+        why = damages[0].text if damages else "; ".join(act.name for act in acts) or "it is empty"
+        raise UsageError(f"{folder} holds no step of a flight, there is nothing to show: {why}")
+    if not any(act.name == _ENDED for act in acts):
+        acts.append(Act(moments[-1].time_s, "the record breaks off", _nothing))
+    facts: dict[str, str | float | None] = {"steps": len(moments), "steps_missing": missing}
+    if damages:
+        facts["damage"] = f"lines left out: {len(damages)}, the first: {damages[0].text}"
     heartbeat = vehicle.heartbeat
     return Run(
         scenario=f"flight of {str(about.get('start_utc', 'an unknown time'))[:19].replace('T', ' ')}",
@@ -116,9 +154,34 @@ def run_of(folder: Path, command: str) -> Run:
         trace=Trace(tuple(moments)),
         verdicts=(),
         acts=tuple(acts),
-        facts={"steps": len(moments), "steps_missing": missing}
-        | {name: str(value) for name, value in about.items() if name != "record"},
+        facts=facts | {name: str(value) for name, value in about.items() if name not in {"record", "damage", *facts}},
+        last_words=last_words,
     )
+
+
+def _seen(
+    entry: Entry, vehicle: VehicleState, start_s: float, place: str
+) -> Moment | RecordedFailure | Gap | Farewell | Damage:
+    """What is shown of an entry: a step becomes a moment, or is damaged where its output is none of ours."""
+    if not isinstance(entry, RecordedStep):
+        return entry
+    try:
+        return moment_of(entry, vehicle, start_s)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return Damage(f"{place} is damaged, or of another version: {type(error).__name__}: {error}")
+
+
+def _name(entry: RecordedFailure | Gap | Farewell | Damage) -> str:
+    """What happened there, in a few words."""
+    match entry:
+        case RecordedFailure():
+            return f"the controller raised {entry.raised}"
+        case Gap():
+            return f"{entry.count} steps not recorded"
+        case Farewell():
+            return _ENDED
+        case Damage():
+            return "the record is damaged: see below"
 
 
 def _nothing(_desk: object) -> None:
@@ -131,16 +194,22 @@ def moment_of(step: RecordedStep, vehicle: VehicleState, start_s: float) -> Mome
     Parameters
     ----------
     start_s : of the flight, on the clock of the record.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError, AttributeError
+        If the output is not one of this version's.
     """
     inputs, output, sample = step.inputs, step.output, step.inputs.track
     attitude, local, heartbeat = vehicle.attitude, vehicle.local, vehicle.heartbeat
     angles = (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude is not None else _UNKNOWN
-    setpoint, target = output.get("setpoint"), output.get("target")
-    fix = target.get("fix") if target is not None else None
+    setpoint, target = output["setpoint"], output["target"]
+    fix = target["fix"] if target is not None else None
+    north_mps, east_mps, down_mps = map(_number, setpoint["velocity_ned_mps"]) if setpoint is not None else _UNKNOWN
     said = (f"autopilot: {event.text}" for event in inputs.events if isinstance(event, AutopilotText))
     return Moment(
         time_s=inputs.now_s - start_s,
-        mode=output["mode"]["name"].lower(),
+        mode=Mode[output["mode"]["name"]].value,
         flight_mode=heartbeat.mode_name if heartbeat is not None else "",
         is_armed=heartbeat is not None and heartbeat.is_armed,
         pose=Pose(local.pos_ned_m if local is not None else _UNKNOWN, *angles),
@@ -153,9 +222,17 @@ def moment_of(step: RecordedStep, vehicle: VehicleState, start_s: float) -> Mome
         confidence=sample.confidence if sample is not None else math.nan,
         threat=sample.threat if sample is not None else math.nan,
         frame_age_s=inputs.now_s - sample.captured_s if sample is not None else None,
-        setpoint_ned_mps=tuple(setpoint["velocity_ned_mps"]) if setpoint is not None else None,
-        yaw_rate_radps=setpoint["yaw_rate_radps"] if setpoint is not None else None,
-        range_m=fix["range_m"] if fix is not None else None,
-        notes=tuple(output["notes"]),
+        setpoint_ned_mps=(north_mps, east_mps, down_mps) if setpoint is not None else None,
+        yaw_rate_radps=_number(setpoint["yaw_rate_radps"]) if setpoint is not None else None,
+        range_m=_number(fix["range_m"]) if fix is not None else None,
+        notes=tuple(map(str, output["notes"])),
         texts=(*step.texts, *said),
     )
+
+
+def _number(value: Any) -> float:
+    """A number of an output, which a record spells out where it is not finite."""
+    number = decoded(value)
+    if misfit(number, float, ""):
+        raise TypeError(f"{str(number)[:40]!r} is no number")
+    return float(number)

@@ -50,6 +50,7 @@ class Run:
     seed : None for a recorded flight.
     acts : when and what; what they do is left out, so that a run can be handed from process to process.
     facts : further figures by name, as those of timing; names carry units.
+    last_words : what the operator was told after the last moment, and when, in s.
     """
 
     scenario: str
@@ -62,6 +63,7 @@ class Run:
     verdicts: tuple[Verdict, ...]
     acts: tuple[Act, ...] = ()
     facts: Mapping[str, Fact] = field(default_factory=dict)
+    last_words: tuple[tuple[float, str], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "acts", tuple(replace(act, do=_is_over) for act in self.acts))
@@ -138,12 +140,13 @@ def write_page(run: Run, folder: Path) -> None:
     """
     title = f"{run.scenario}, {run.autopilot}"
     write_whole(folder / PLOTS, plot_png(title, run.trace, run.acts, has_truth=run.has_truth))
-    write_whole(folder / TRACE, trace_csv(run.trace, has_truth=run.has_truth).encode())
+    # what was recorded may hold half a character, which no file does
+    write_whole(folder / TRACE, trace_csv(run.trace, has_truth=run.has_truth).encode("utf-8", "replace"))
     if (folder / FILM).is_file():
         poster = _poster(folder / FILM)
         if poster is not None:
             write_whole(folder / POSTER, poster)
-    write_whole(folder / PAGE, run_page(run, _files(folder)).encode())
+    write_whole(folder / PAGE, run_page(run, _files(folder)).encode("utf-8", "replace"))
 
 
 def _files(folder: Path) -> list[str]:
@@ -317,7 +320,7 @@ def run_page(run: Run, files: Sequence[str]) -> str:
             "<h2>Plots</h2>",
             f'<div class="wide"><a href="{PLOTS}"><img src="{PLOTS}" alt="The run over time"></a></div>',
         ]
-    parts += ["<h2>What the operator was told</h2>", _log(run.trace, run.acts)]
+    parts += ["<h2>What the operator was told</h2>", _log(run)]
     known = {**run.facts, **environment()} if run.has_truth else run.facts  # a record brings its own circumstances
     facts = {"command": f"<code>{escaped(run.command)}</code>"}
     if run.seed is not None:
@@ -338,7 +341,7 @@ def index_page(runs: Sequence[Run]) -> str:
     passed = sum(run.is_passed for run in runs)
     rows = []
     for run in runs:
-        failed = [f"{verdict.name}: {_measured(verdict)}" for verdict in run.verdicts if not verdict.is_passed]
+        failed = [f"{verdict.name}: {verdict.measured}" for verdict in run.verdicts if not verdict.is_passed]
         complaints = [f'<br><span class="bad">{escaped(text)}</span>' for text in failed]
         figures = "".join(f'<td class="figure">{value}</td>' for value in key_figures(run.trace).values())
         rows.append(
@@ -404,17 +407,18 @@ def _modes(trace: Trace) -> str:
 def _checks(verdicts: Sequence[Verdict]) -> str:
     rows = (
         f'<td class="mark {_class(verdict.is_passed)}">{_mark(verdict.is_passed)}</td><td>{escaped(verdict.name)}</td>'
-        f'<td class="figure {_class(verdict.is_passed)}">{escaped(_measured(verdict))}</td>'
+        f'<td class="figure {_class(verdict.is_passed)}">{escaped(verdict.measured)}</td>'
         f'<td class="figure">{escaped(verdict.wanted)}</td>'
         for verdict in verdicts
     )
     return _table(rows, ("", "check", "measured", "wanted"))
 
 
-def _log(trace: Trace, acts: Sequence[Act]) -> str:
+def _log(run: Run) -> str:
     """What was said and what happened, in the order of time."""
-    lines = [(moment.time_s, escaped(text)) for moment in trace.moments for text in moment.texts]
-    lines += [(act.time_s, f'<span class="soft">({escaped(act.name)})</span>') for act in acts]
+    lines = [(moment.time_s, escaped(text)) for moment in run.trace.moments for text in moment.texts]
+    lines += [(time_s, escaped(text)) for time_s, text in run.last_words]
+    lines += [(act.time_s, f'<span class="soft">({escaped(act.name)})</span>') for act in run.acts]
     lines.sort(key=lambda line: line[0])
     if not lines:
         return '<p class="soft">Nothing.</p>'
@@ -438,10 +442,6 @@ def _header(name: str, about: str, *, is_passed: bool | None) -> str:
 
 def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}".rstrip(".") + "."
-
-
-def _measured(verdict: Verdict) -> str:
-    return "no figure" if verdict.measured.startswith("nan") else verdict.measured
 
 
 def _passed(count: int, total: int) -> str:

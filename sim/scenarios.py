@@ -67,7 +67,10 @@ class Act:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of a check: a figure and its limits, infinite where there is none."""
+    """What came of a check: a figure and its limits, infinite where there is none.
+
+    unreached_s : when what it looks at would have begun, where the run was over before; None: it has begun.
+    """
 
     name: str
     is_passed: bool
@@ -75,10 +78,15 @@ class Verdict:
     least: float
     most: float
     unit: str
+    unreached_s: float | None = None
 
     @property
     def measured(self) -> str:
         """The figure for the eye; never rounded to the other side of a limit."""
+        if self.unreached_s is not None:
+            return f"not reached: begins at {self.unreached_s:g} s"
+        if math.isnan(self.value):
+            return "no figure"
         for digits in range(3, 12):
             text = f"{self.value:.{digits}g}"
             if (self.least <= float(text) <= self.most) is self.is_passed:
@@ -95,16 +103,27 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A claim about a run: a figure of the trace, and its limits, in `unit`."""
+    """A claim about a run: a figure of the trace from a time on, and its limits, in `unit`."""
 
     name: str
     unit: str
     figure: Callable[[Trace], float]
     least: float = -math.inf
     most: float = math.inf
+    start_s: float = 0.0
 
     def judge(self, trace: Trace) -> Verdict:
-        """Whether the figure lies within the limits; a figure that is not a number does not."""
+        """Whether the figure lies within the limits; one that is not a number, or of nothing yet, does not."""
+        if self.start_s > 0 and not trace.between(self.start_s):
+            return Verdict(
+                self.name,
+                is_passed=False,
+                value=math.nan,
+                least=self.least,
+                most=self.most,
+                unit=self.unit,
+                unreached_s=self.start_s,
+            )
         value = self.figure(trace)
         is_passed = self.least <= value <= self.most
         return Verdict(self.name, is_passed, value, self.least, self.most, self.unit)
@@ -325,19 +344,19 @@ SAFE = (
 )
 KEEPS = (
     *SAFE,
-    Check("time following, once settled", "", _following_share, least=0.97),
+    Check("time following, once settled", "", _following_share, least=0.97, start_s=STEADY_S),
     Check("box off the target while following", "", _wrong_share, most=0.02),
-    Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=8),
-    Check("range over that at engagement, worst", "", _worst_range_ratio, most=1.5),
+    Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=8, start_s=STEADY_S),
+    Check("range over that at engagement, worst", "", _worst_range_ratio, most=1.5, start_s=STEADY_S),
     Check("height changes by", "m", _height_span_m, most=2),
 )
 # who brakes for a car that stops raises the nose, and the box touches the frame's lower border for a moment
 STOPS = tuple(replace(check, least=0.95) if check.figure is _following_share else check for check in KEEPS)
 HIDES = (
     *SAFE,
-    Check("time following, once settled", "", _following_share, least=0.75),
+    Check("time following, once settled", "", _following_share, least=0.75, start_s=STEADY_S),
     Check("box off the target while following", "", _wrong_share, most=0.03),
-    Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10),
+    Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10, start_s=STEADY_S),
     Check("follows at the end", "", _ends_in("following"), least=1),
 )
 _LIMITS = "[limits]\nspeed_mps = 10\nacceleration_mps2 = 2\nradius_m = 5000\n"
@@ -462,7 +481,7 @@ SCENARIOS: dict[str, Scenario] = {
             (
                 *SAFE,
                 Check("box off the target while following", "", _wrong_share, most=0.05),
-                Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10),
+                Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=10, start_s=STEADY_S),
             ),
             settings=_LIMITS,
         ),
@@ -473,8 +492,8 @@ SCENARIOS: dict[str, Scenario] = {
             45,
             (
                 *SAFE,
-                Check("time following, once settled", "", _following_share, least=0.97),
-                Check("off the place above the target, 95 %", "m", _off_centre_m, most=4),
+                Check("time following, once settled", "", _following_share, least=0.97, start_s=STEADY_S),
+                Check("off the place above the target, 95 %", "m", _off_centre_m, most=4, start_s=STEADY_S),
                 Check("height changes by", "m", _height_span_m, most=2),
             ),
             follow="overhead",
@@ -487,9 +506,9 @@ SCENARIOS: dict[str, Scenario] = {
             26,
             (
                 *SAFE,
-                Check("time following, once settled", "", _following_share, least=0.9),
+                Check("time following, once settled", "", _following_share, least=0.9, start_s=STEADY_S),
                 Check("horizontal setpoint", "m/s", _top_setpoint_mps, most=0),
-                Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=8),
+                Check("bearing error, 95 %", "deg", _bearing_p95_deg, most=8, start_s=STEADY_S),
             ),
             follow="spotlight",
             settings=_LIMITS,
@@ -511,7 +530,7 @@ SCENARIOS: dict[str, Scenario] = {
                 *SAFE,
                 Check("farthest from the engagement, told to move", "m", _farthest_m, least=50, most=151),
                 Check("range up to which it believes the box, which is a speck by then", "m", _followed_to_m, most=270),
-                Check("speed at the end", "m/s", _speed_after(74.0), most=0.7),
+                Check("speed at the end", "m/s", _speed_after(74.0), most=0.7, start_s=74.0),
             ),
             settings=_LIMITS.replace("speed_mps = 10", "speed_mps = 6").replace("radius_m = 5000", "radius_m = 150"),
         ),
@@ -522,7 +541,7 @@ SCENARIOS: dict[str, Scenario] = {
             35,
             (
                 *SAFE,
-                Check("setpoints more than 3 s after the stick", "", _streaming_after(23.0), most=0),
+                Check("setpoints more than 3 s after the stick", "", _streaming_after(23.0), most=0, start_s=23.0),
                 Check("flown by the pilot at the end", "", _ends_in_flight_mode("LOITER", "POSCTL"), least=1),
                 Check("says why", "", _said("sticks moved"), least=1),
             ),
@@ -536,7 +555,7 @@ SCENARIOS: dict[str, Scenario] = {
             40,
             (
                 *SAFE,
-                Check("setpoints 1.3 s after the mode was left", "", _streaming_after(21.3), most=0),
+                Check("setpoints 1.3 s after the mode was left", "", _streaming_after(21.3), most=0, start_s=21.3),
                 Check("says why", "", _said("flight mode left"), least=1),
             ),
             settings=_LIMITS,
@@ -578,8 +597,8 @@ SCENARIOS: dict[str, Scenario] = {
             45,
             (
                 *SAFE,
-                Check("speed after the autopilot's own time-out", "m/s", _speed_after(40.0), most=0.5),
-                Check("setpoints after the link came back", "", _streaming_after(25.0), most=0),
+                Check("speed after the autopilot's own time-out", "m/s", _speed_after(40.0), most=0.5, start_s=40.0),
+                Check("setpoints after the link came back", "", _streaming_after(25.0), most=0, start_s=25.0),
             ),
             settings=_LIMITS,
             acts=(
@@ -594,8 +613,8 @@ SCENARIOS: dict[str, Scenario] = {
             35,
             (
                 *SAFE,
-                Check("speed 8 s later", "m/s", _speed_after(28.0), most=0.7),
-                Check("setpoints 4 s later", "", _streaming_after(24.0), most=0),
+                Check("speed 8 s later", "m/s", _speed_after(28.0), most=0.7, start_s=28.0),
+                Check("setpoints 4 s later", "", _streaming_after(24.0), most=0, start_s=24.0),
                 Check("holds at the end", "", _ends_in_flight_mode("BRAKE", "AUTO.LOITER"), least=1),
             ),
             settings=_LIMITS,
@@ -609,14 +628,22 @@ SCENARIOS: dict[str, Scenario] = {
             40,
             (
                 *SAFE,
-                Check("off the picture's middle before engaging, 95 %", "", _off_middle(4.0, 17.0), most=0.1),
+                Check(
+                    "off the picture's middle before engaging, 95 %", "", _off_middle(4.0, 17.0), most=0.1, start_s=4.0
+                ),
                 Check("setpoints before engaging", "", _setpoints_before(17.0), most=0),
                 Check("moved before engaging", "m", _moved_before(17.0), most=0.3),
                 Check(
-                    "off the middle in the other station's hands, least", "", _off_middle(25.5, 30.0, 0.0), least=0.15
+                    "off the middle in the other station's hands, least",
+                    "",
+                    _off_middle(25.5, 30.0, 0.0),
+                    least=0.15,
+                    start_s=25.5,
                 ),
                 Check("says once that it lets go", "", _times_said("Gimbal taken over"), least=1, most=1),
-                Check("off the middle after another selection, 95 %", "", _off_middle(32.0, 40.0), most=0.1),
+                Check(
+                    "off the middle after another selection, 95 %", "", _off_middle(32.0, 40.0), most=0.1, start_s=32.0
+                ),
                 Check("horizontal setpoint", "m/s", _top_setpoint_mps, most=0),
                 Check("follows at the end", "", _ends_in("following"), least=1),
             ),

@@ -3,6 +3,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import av
@@ -12,7 +13,9 @@ import pytest
 
 from companion.app import MAX_BEAT_AGE_S, App
 from companion.config import parse
+from companion.controller import Controller
 from companion.flight_record import CONTROL, VIDEO
+from companion.follower import StepError
 from companion.notify import Notifier
 from companion.replay import replay
 from companion.types import Frame, Selection, TrackSample
@@ -187,13 +190,31 @@ def test_a_run_leaves_a_record_that_decides_again_as_it_did(
 
 
 @pytest.mark.usefixtures("process")
+def test_a_controller_that_raises_ends_the_run_and_its_step_and_the_last_words_are_in_the_record(
+    make: Callable[[str], App], filmed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = count()
+
+    def broken(*_: object) -> None:
+        if next(calls) % 6 == 5:
+            raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr(Controller, "_ladder", broken)
+    with pytest.raises(StepError, match="ZeroDivisionError: a mistake"):
+        make(filmed).run()
+    result = replay(recorded(tmp_path))
+    assert (result.steps, result.difference, result.raised) == (6, None, "ZeroDivisionError: a mistake")
+    assert result.is_whole
+
+
+@pytest.mark.usefixtures("process")
 def test_without_a_place_for_the_record_the_run_goes_on_and_the_operator_is_told(
     make: Callable[[str], App], filmed: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "flights").write_text("a file")
     app = make(filmed)
     assert app.run() == 0
-    assert caplog.messages.count("Record stopped: file exists") == 1
+    assert caplog.messages.count("Record stopped: record.folder is no folder") == 1
     assert app._samples.value is not None
 
 

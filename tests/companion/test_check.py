@@ -1,4 +1,6 @@
+import re
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -13,7 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion import check
-from companion.check import check_camera, check_link, print_signs
+from companion.check import check_camera, check_link, check_record, print_signs
 from companion.config import parse
 from companion.frame_stream import packed_header
 
@@ -96,6 +98,59 @@ def test_a_camera_that_is_missing_or_gives_one_picture_is_one_line(tmp_path: Pat
     lines = out.getvalue().splitlines()
     assert [line[:17] for line in lines] == ["camera    FAILED:"] * 2
     assert "gave 1 frames" in lines[1]
+
+
+# ------------------------------------------------------------------------------------------------ the record
+def test_a_record_that_can_be_written_is_said_with_its_folder_and_nothing_is_left_of_the_trial(
+    tmp_path: Path, out: StringIO
+) -> None:
+    config = parse(f'{CAMERA}[record]\nfolder = "{tmp_path}/flights"\nmin_free_mb = 1\n')
+    assert check_record(config, {}, out)
+    assert re.fullmatch(rf"record    {tmp_path}/flights: can be written, \d+ MB free\n", out.getvalue())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_who_asks_is_said_not_to_be_the_services(tmp_path: Path, out: StringIO) -> None:
+    config = parse(f"{CAMERA}[record]\nmin_free_mb = 1\n")
+    assert check_record(config, {"XDG_STATE_HOME": str(tmp_path)}, out)
+    assert out.getvalue().splitlines()[1:] == ["          of who runs this; the service has a folder of its own"]
+    out.truncate(0)
+    assert check_record(config, {"STATE_DIRECTORY": str(tmp_path)}, out)
+    assert "the service" not in out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ('folder = "{}/taken/flights"', "cannot be made or written: Not a directory; set record.folder"),
+        ('folder = "{}"\nmin_free_mb = 1e6', "MB free, record.min_free_mb = 1e+06: free some, or set it lower"),
+    ],
+)
+def test_a_record_that_would_not_be_written_is_one_line(
+    tmp_path: Path, out: StringIO, settings: str, said: str
+) -> None:
+    (tmp_path / "taken").write_text("mine")
+    assert not check_record(parse(f"{CAMERA}[record]\n{settings.format(tmp_path)}\n"), {}, out)
+    (line,) = out.getvalue().splitlines()
+    assert line.startswith(f"record    FAILED: {tmp_path}")
+    assert line.endswith(said)
+
+
+@pytest.mark.parametrize(("video", "warns"), [("overlay", True), ("plain", True), ("none", False)])
+def test_a_film_that_cannot_be_encoded_is_said_where_one_is_wanted(
+    tmp_path: Path, out: StringIO, monkeypatch: pytest.MonkeyPatch, video: str, *, warns: bool
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    config = parse(f'{CAMERA}[record]\nfolder = "{tmp_path}"\nmin_free_mb = 1\nvideo = "{video}"\n')
+    assert check_record(config, {}, out)
+    wanted = f'          WARNING: no film: record.video = "{video}" needs PyAV: pip install av, or set "none"'
+    assert out.getvalue().splitlines()[1:] == [wanted] * warns
+
+
+def test_where_nothing_is_recorded_nothing_is_tried(out: StringIO) -> None:
+    config = parse(f'{CAMERA}[record]\nenabled = false\nfolder = "/dev/null/flights"\n')
+    assert check_record(config, {}, out)
+    assert out.getvalue() == "record    none: record.enabled = false\n"
 
 
 # ------------------------------------------------------------------------------------------------ the link

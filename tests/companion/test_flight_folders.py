@@ -8,7 +8,17 @@ from pathlib import Path
 import pytest
 
 from companion.config import RecordConfig
-from companion.flight_folders import check_free, flights_folder, make_room, new_folder, remove_old
+from companion.errors import UsageError
+from companion.flight_folders import (
+    NoRoomError,
+    about_of,
+    check_free,
+    flights_folder,
+    make_room,
+    new_folder,
+    remove_old,
+    try_folder,
+)
 from companion.flight_record import ABOUT, CONTROL, KIND
 
 NOW = datetime(2026, 3, 1, 12, 30, 5, tzinfo=UTC)
@@ -129,8 +139,9 @@ def test_room_is_made_before_it_is_looked_for(tmp_path: Path) -> None:
 
 def test_a_running_flight_that_is_alone_too_large_is_refused_more_room(tmp_path: Path) -> None:
     running = flight(tmp_path, 1, size=1_100_000)
-    with pytest.raises(OSError, match=r"record\.max_total_mb reached"):
+    with pytest.raises(NoRoomError, match=r"holds 1 MB, record\.max_total_mb = 1: fly shorter") as raised:
         make_room(tmp_path, running, limits(1.0), NOW.timestamp())
+    assert raised.value.brief == "record.max_total_mb reached"
     assert left(tmp_path) == [1]
 
 
@@ -140,6 +151,47 @@ def test_the_disk_keeps_what_is_to_stay_free(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=2_000_000))
     check_free(tmp_path, config)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1_999_999))
-    with pytest.raises(OSError, match=r"No space left") as raised:
+    with pytest.raises(NoRoomError, match=r"has 2 MB free, record\.min_free_mb = 2: free some") as raised:
         check_free(tmp_path, config)
+    assert str(tmp_path) in str(raised.value)
     assert raised.value.errno == errno.ENOSPC
+    assert raised.value.brief == "below record.min_free_mb"
+
+
+# ------------------------------------------------------------------------------------------------ a trial
+def test_a_trial_leaves_nothing_behind_whether_the_folder_is_there_or_not(tmp_path: Path) -> None:
+    config = RecordConfig(min_free_mb=1.0)
+    assert try_folder(tmp_path / "deep" / "flights", config) > 1
+    assert list(tmp_path.iterdir()) == []
+    flight(tmp_path / "flights", 1)
+    assert try_folder(tmp_path / "flights", config) > 1
+    assert left(tmp_path / "flights") == [1]
+
+
+def test_a_trial_in_a_file_or_with_too_little_room_fails(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(NotADirectoryError):
+        try_folder(tmp_path / "taken" / "flights", RecordConfig(min_free_mb=1.0))
+    with pytest.raises(NoRoomError):
+        try_folder(tmp_path / "flights", RecordConfig(min_free_mb=1e6))
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+# ------------------------------------------------------------------------------------------------ what a record is of
+def test_where_no_record_is_those_below_are_named_the_newest_first(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"is no flight record: about.json: No such file or directory$"):
+        about_of(tmp_path)
+    (tmp_path / "flights" / "other").mkdir(parents=True)
+    (tmp_path / "flights" / "other" / ABOUT).write_text("{}")
+    one = flight(tmp_path / "flights", 9)
+    for folder in (tmp_path, tmp_path / "flights"):
+        with pytest.raises(UsageError) as raised:
+            about_of(folder)
+        assert str(raised.value).endswith(f"; give a record below it: {one}")
+    for number in (10, 11, 12):
+        flight(tmp_path / "flights", number)
+    with pytest.raises(UsageError) as raised:
+        about_of(tmp_path)
+    said = str(raised.value).partition("below it: ")[2]
+    assert [int(path[-4:]) for path in said.partition(", the newest of 4")[0].split(" or ")] == [12, 11, 10]
+    assert about_of(one)["record"] == KIND

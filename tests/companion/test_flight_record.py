@@ -22,18 +22,21 @@ from companion.flight_record import (
     FLUSH_S,
     KIND,
     TLOG,
+    Damage,
     Farewell,
     FlightRecord,
     Gap,
+    RecordedFailure,
     RecordedStep,
     decoded,
     encoded,
     line_of,
+    misfit,
     read_about,
     read_control,
 )
-from companion.follower import Step
-from companion.types import ControlInput, Severity
+from companion.follower import FailedStep, Follower, Step
+from companion.types import ControlInput, Severity, Text
 from mscf import Box
 from sim.eyes import TrueEyes
 from sim.scenarios import SCENARIOS, fly
@@ -242,7 +245,56 @@ def _without_output(line: dict[str, Any]) -> None:
     line["output"] = 1
 
 
-@pytest.mark.parametrize("spoil", [_without_time, _with_more, _of_another, _of_nobody, _without_output])
+def _at_no_time(line: dict[str, Any]) -> None:
+    line["inputs"]["now_s"] = {"is": "float", "name": "nan"}
+
+
+def _back_in_time(line: dict[str, Any]) -> None:
+    line["inputs"]["now_s"] = 1.0
+
+
+def _with_a_word_for_a_number(line: dict[str, Any]) -> None:
+    line["inputs"]["events"][0]["time_s"] = "12"
+
+
+def _with_a_monstrous_number(line: dict[str, Any]) -> None:
+    line["inputs"]["now_s"] = 10**400
+
+
+def _with_a_number_for_a_track(line: dict[str, Any]) -> None:
+    line["inputs"]["track"] = 3
+
+
+def _with_words_for_a_list(line: dict[str, Any]) -> None:
+    line["texts"] = "Following"
+
+
+def _missing(line: dict[str, Any]) -> None:
+    line["missing"] = "3"
+
+
+def _farewell(line: dict[str, Any]) -> None:
+    line["farewell"] = None
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        _without_time,
+        _with_more,
+        _of_another,
+        _of_nobody,
+        _without_output,
+        _at_no_time,
+        _back_in_time,
+        _with_a_word_for_a_number,
+        _with_a_monstrous_number,
+        _with_a_number_for_a_track,
+        _with_words_for_a_list,
+        _missing,
+        _farewell,
+    ],
+)
 def test_a_line_that_is_none_of_ours_is_named(
     tmp_path: Path, config: Config, steps: list[Step], spoil: Callable[[dict[str, Any]], None]
 ) -> None:
@@ -250,17 +302,91 @@ def test_a_line_that_is_none_of_ours_is_named(
     first, second = path.read_bytes().splitlines(keepends=True)
     line = json.loads(second)
     spoil(line)
-    path.write_bytes(first + line_of(line))
-    with pytest.raises(UsageError, match=r"control\.jsonl, line 2 is damaged, or of another version") as raised:
-        list(read_control(tmp_path))
-    assert "\n" not in str(raised.value)
+    path.write_bytes(first + line_of(line) + second)
+    step, damage, again = read_control(tmp_path)
+    assert isinstance(damage, Damage)
+    assert "control.jsonl, line 2 is damaged, or of another version: " in damage.text
+    assert "\n" not in damage.text
+    assert isinstance(step, RecordedStep)
+    assert isinstance(again, RecordedStep)  # what is good behind it is read
 
 
-@pytest.mark.parametrize("line", [b"\n", b"null\n", b"[]\n", b"{}\n", b"\xff\n", b"[" * 100_000 + b"\n", b"1\n"])
-def test_no_line_makes_a_reader_raise_anything_else(tmp_path: Path, line: bytes) -> None:
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"\n",
+        b"null\n",
+        b"[]\n",
+        b"{}\n",
+        b"\xff\n",
+        b"[" * 100_000 + b"\n",
+        b"1\n",
+        b'"missing"\n',
+        b'{"missing":1e999}\n',
+        b'{"missing":0}\n',
+        b'{"farewell":NaN,"messages":[]}\n',
+        b'{"farewell":1.0,"messages":["a"]}\n',
+        b'{"inputs":{"is":"Contr{"missing":1}\n',
+    ],
+)
+def test_no_line_makes_a_reader_raise_anything(tmp_path: Path, line: bytes) -> None:
     (tmp_path / CONTROL).write_bytes(line)
-    with pytest.raises(UsageError, match="line 1 is damaged"):
-        list(read_control(tmp_path))
+    (damage,) = read_control(tmp_path)
+    assert isinstance(damage, Damage)
+    assert "line 1 is damaged" in damage.text
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.from_type(ControlInput))
+def test_every_input_is_of_the_types_it_says(inputs: ControlInput) -> None:
+    assert misfit(inputs, ControlInput, "inputs") == ""
+    wrong = replace(inputs, is_sent=1)  # type: ignore[arg-type]
+    assert misfit(wrong, ControlInput, "inputs") == "inputs.is_sent = '1' is of another type"
+
+
+@pytest.mark.parametrize(
+    ("value", "hint", "said"),
+    [
+        (1, float, ""),
+        (True, float, "x = 'True' is of another type"),
+        (2**63, float, f"x = '{2**63}' is of another type"),
+        (2**63, int, ""),
+        (None, float | None, ""),
+        ("a", float | None, "x = 'a' is of another type"),
+        ((1.0, 2.0), tuple[float, float], ""),
+        ((1.0, 2.0), tuple[float, float, float], "x = '(1.0, 2.0)' is of another type"),
+        ([1.0, 2.0], tuple[float, ...], "x = '[1.0, 2.0]' is of another type"),
+        ((1.0, "a"), tuple[float, ...], "x[1] = 'a' is of another type"),
+        ((), tuple[float, ...], ""),
+        (Box(0, 0, "w", 1), Box | None, "x.w = 'w' is of another type"),  # type: ignore[arg-type]
+        (Severity.ERROR, int, "x = '3' is of another type"),
+    ],
+)
+def test_what_is_of_another_type_is_named(value: object, hint: object, said: str) -> None:
+    assert misfit(value, hint, "x") == said
+
+
+def test_what_the_operator_was_told_last_is_in_the_last_line(tmp_path: Path, config: Config) -> None:
+    follower, record = Follower(config), FlightRecord(tmp_path, config, START_S, START_US)
+    text = Text(Severity.WARNING, "x" * 50)
+    sent = follower.step(START_S, b"", None, notices=(text,)).sent
+    record.add_farewell(START_S + 1, sent)
+    record.close()
+    (farewell,) = read_control(tmp_path)
+    assert isinstance(farewell, Farewell)
+    assert len(farewell.message_ids) > 1
+    assert farewell.texts == (text.text,)
+
+
+def test_a_step_that_failed_is_read_back_with_its_exception(tmp_path: Path, config: Config, steps: list[Step]) -> None:
+    record = FlightRecord(tmp_path, config, START_S, START_US)
+    record.add(steps[0])
+    record.add_failed(FailedStep(steps[1].inputs, steps[1].received, "ValueError: math domain error"))
+    assert list(read_control(tmp_path))[1] == RecordedFailure(
+        steps[1].inputs, "ValueError: math domain error"
+    )  # flushed
+    assert record.size_bytes == sum((tmp_path / name).stat().st_size for name in (CONTROL, TLOG))
+    record.close()
 
 
 def test_lines_that_are_not_there_are_said(tmp_path: Path) -> None:

@@ -1,3 +1,4 @@
+import errno
 import os
 import shutil
 import sys
@@ -13,8 +14,8 @@ import pytest
 
 from companion import recorder as module
 from companion.config import Config, parse
-from companion.flight_record import VIDEO, FlightRecord, Gap, RecordedStep, read_control
-from companion.follower import Step
+from companion.flight_record import VIDEO, Farewell, FlightRecord, Gap, RecordedFailure, RecordedStep, read_control
+from companion.follower import FailedStep, Step
 from companion.recorder import MAX_FRAMES, MAX_STEPS, MAX_TEXT, NICE, STALLED_S, Recorder, drawn
 from companion.types import Frame, Severity, Text, TrackSample
 from mscf import Box, TrackStatus
@@ -282,21 +283,27 @@ def test_a_file_in_place_of_the_folder_is_told(
     (tmp_path / "flights").write_text("mine")
     recorder = start()
     recorder.put_step(steps[0])
-    assert told(recorder) == ["Record stopped: file exists"]
+    assert told(recorder) == ["Record stopped: record.folder is no folder"]
     assert (tmp_path / "flights").read_text() == "mine"
 
 
-def test_a_disk_with_too_little_room_is_not_begun_upon(tmp_path: Path) -> None:
+def test_a_disk_with_too_little_room_is_not_begun_upon(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     config = config_of()
     recorder = Recorder(replace(config, record=replace(config.record, min_free_mb=1e6)), tmp_path)
     recorder.start()
-    assert told(recorder) == ["Record stopped: disk full"]
+    assert told(recorder) == ["Record stopped: below record.min_free_mb"]
     assert list(tmp_path.iterdir()) == []
+    (line,) = caplog.messages
+    for words in ("Record stopped: ", str(tmp_path), "MB free, record.min_free_mb = 1e+06: free some, or set it lower"):
+        assert words in line
 
 
 @pytest.mark.parametrize(
     ("video", "wanted"),
-    [("none", ["Record stopped: disk full"]), ("plain", ["Record stopped: disk full", "Video stopped: disk full"])],
+    [
+        ("none", ["Record stopped: below record.min_free_mb"]),
+        ("plain", ["Record stopped: below record.min_free_mb", "Video stopped: below record.min_free_mb"]),
+    ],
 )
 def test_a_disk_that_fills_up_meanwhile_is_noticed(
     start: Callable[..., Recorder], monkeypatch: pytest.MonkeyPatch, video: str, wanted: list[str]
@@ -327,7 +334,7 @@ def test_a_video_fills_no_disk_while_the_steps_hang(
         usage = shutil.disk_usage("/")
         monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=999_999))
         until(lambda: recorder._video is not None and recorder._video.is_over)
-        assert texts_of(recorder) == ["Video stopped: disk full"]
+        assert texts_of(recorder) == ["Video stopped: below record.min_free_mb"]
         assert recorder.is_recording
     finally:
         is_back.set()
@@ -341,7 +348,7 @@ def test_a_record_that_was_removed_meanwhile_is_noticed(
     folder = folder_of(recorder)
     folder.rename(folder.with_name("elsewhere"))
     until(lambda: not recorder._steps.is_alive())
-    assert told(recorder) == ["Record stopped: no such file or directory"]
+    assert told(recorder) == ["Record stopped: record.folder is gone"]
 
 
 def test_a_flight_that_alone_is_too_large_ends_its_record(
@@ -369,6 +376,39 @@ def test_a_video_whose_steps_have_ended_is_no_larger_than_a_flight_may_be(
     (folder / "ballast").write_bytes(bytes(200_000))
     until(lambda: not recorder._video.is_alive())  # type: ignore[union-attr]
     assert told(recorder) == ["Record stopped: TypeError", "Video stopped: record.max_total_mb reached"]
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.ENOSPC])
+def test_what_stops_a_record_has_its_mend_in_a_status_text_and_its_path_in_the_log(
+    start: Callable[..., Recorder],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path,
+    number: int,
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(module, "make_room", refuse)
+    (text,) = told(start(video="none"))
+    assert ("disk full" if number == errno.ENOSPC else "record.folder") in text
+    (line,) = caplog.messages
+    assert line.startswith(f"Record stopped: {tmp_path / 'flights'}: {os.strerror(number)}; ")
+    assert text.removeprefix("Record stopped: ") in line
+
+
+def test_the_step_that_the_controller_failed_in_comes_after_the_others_and_before_the_last_words(
+    start: Callable[..., Recorder], steps: list[Step]
+) -> None:
+    recorder = start(video="none")
+    folder = folder_of(recorder)
+    recorder.put_step(steps[0])
+    recorder.put_failed(FailedStep(steps[1].inputs, steps[1].received, "ValueError: x"))
+    recorder.put_farewell(steps[1].inputs.now_s, ())
+    recorder.end(LIMIT_S)
+    _, failure, farewell = read_control(folder)
+    assert failure == RecordedFailure(steps[1].inputs, "ValueError: x")
+    assert farewell == Farewell(steps[1].inputs.now_s, ())
 
 
 class Blocked(FlightRecord):

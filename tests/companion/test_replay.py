@@ -1,4 +1,6 @@
 import json
+import pickle
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +10,9 @@ import pytest
 
 from companion import cli
 from companion.config import text_of
-from companion.flight_record import ABOUT, CONFIG, CONTROL, FlightRecord, line_of
-from companion.follower import Follower, Step
+from companion.controller import Controller
+from companion.flight_record import ABOUT, CONFIG, CONTROL, STATUSTEXT, FlightRecord, line_of, message_id
+from companion.follower import Follower, Step, StepError
 from companion.replay import Difference, replay
 from companion.types import Parameter
 from sim.eyes import TrueEyes
@@ -216,7 +219,101 @@ def test_a_record_that_breaks_off_is_said_to(
     assert capsys.readouterr().out.startswith(f"{len(flown[1])} steps, all equal; the record breaks off there: ")
 
 
+def test_a_damaged_line_is_named_with_how_much_before_it_is_equal(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def spoil(line: dict[str, Any]) -> None:
+        line["inputs"]["now_s"] = "soon"
+
+    changed(copy, 5, spoil)
+    assert cli.main(["replay", str(copy)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "control.jsonl, line 6 is damaged" in line
+    assert line.endswith("the 5 steps before are equal")
+
+
+def test_the_folder_above_a_record_is_answered_with_the_record(
+    copy: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path_factory.mktemp("run")
+    shutil.copytree(copy, run / "flights" / "a")
+    assert cli.main(["replay", str(run)]) == 2
+    assert capsys.readouterr().err.endswith(f"give a record below it: {run / 'flights' / 'a'}\n")
+
+
 def test_a_record_without_a_step_is_nothing_to_replay(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / CONTROL).write_bytes(b"")
     assert cli.main(["replay", str(copy)]) == 2
     assert "there is nothing to replay" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------------ what raises
+BREAKS_S = OUR_CLOCK_S + 9.0
+
+
+@pytest.fixture
+def breaks(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Of the controller, which has a mistake in it from a time on, until that is undone."""
+    guide = Controller._guide
+
+    def broken(controller: Controller, now_s: float) -> Any:
+        if now_s >= BREAKS_S:
+            raise ValueError(f"math domain error at {now_s - OUR_CLOCK_S:.2f}")
+        return guide(controller, now_s)
+
+    monkeypatch.setattr(Controller, "_guide", broken)
+    return monkeypatch
+
+
+@pytest.fixture
+def failed(tmp_path: Path) -> tuple[Path, int]:
+    """The record of a flight whose controller raised while it followed, and how many steps it has; needs `breaks`."""
+    config = SCENARIO.config(PLACE)
+    record = FlightRecord(tmp_path, config, OUR_CLOCK_S, 0)
+    loop = Loop(
+        PLACE, AUTOPILOTS["ardupilot"], config, TrueEyes(PLACE), wait_s=WAIT_S, mode="GUIDED", recorder=record.add
+    )
+    with pytest.raises(StepError, match="the controller raised ValueError: math domain error") as raised:
+        loop.run(12.0, Operator(SCENARIO).act)
+    assert loop.mode == "following"
+    assert isinstance(raised.value.__cause__, ValueError)
+    assert pickle.loads(pickle.dumps(raised.value)).failed == raised.value.failed  # noqa: S301 - our own
+    record.add_failed(raised.value.failed)
+    last_words = loop.follower.farewell(BREAKS_S)
+    assert message_id(last_words[-1]) == STATUSTEXT
+    record.add_farewell(BREAKS_S, last_words)
+    record.close()
+    return tmp_path, len(loop.moments) + 1
+
+
+@pytest.mark.usefixtures("breaks")
+def test_the_step_in_which_the_controller_raised_is_decided_again_to_the_same_exception_and_end(
+    failed: tuple[Path, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, count = failed
+    assert cli.main(["replay", str(folder)]) == 0
+    said = f"{count} steps, all equal; in the last one the controller raised ValueError: math domain error at 9.00\n"
+    assert capsys.readouterr().out == said
+
+
+def test_a_controller_that_was_mended_differs_in_the_step_that_failed(
+    breaks: pytest.MonkeyPatch, failed: tuple[Path, int]
+) -> None:
+    breaks.undo()
+    folder, count = failed
+    assert replay(folder).difference == Difference(
+        count, BREAKS_S - OUR_CLOCK_S, "exception", "ValueError: math domain error at 9.00", "none"
+    )
+
+
+def test_a_controller_that_raises_only_now_is_a_difference_and_no_traceback(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: Controller, now_s: float) -> Any:
+        raise KeyError(now_s)
+
+    monkeypatch.setattr(Controller, "_guide", broken)
+    found = replay(copy).difference
+    assert found is not None
+    assert (found.step, found.field, found.recorded) == (1, "exception", "none")
+    assert found.replayed.startswith("KeyError: ")

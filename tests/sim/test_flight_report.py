@@ -4,6 +4,7 @@ import io
 import json
 import math
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -14,9 +15,10 @@ import numpy as np
 import pytest
 
 from companion.config import parse
+from companion.engagement import Reason
 from companion.errors import UsageError
-from companion.flight_record import ABOUT, CONFIG, CONTROL, TLOG, VIDEO, FlightRecord
-from companion.follower import Follower
+from companion.flight_record import ABOUT, CONFIG, CONTROL, TLOG, VIDEO, FlightRecord, line_of
+from companion.follower import FailedStep, Follower
 from mscf.errors import OutputError
 from mscf.recording import LiveVideoFile
 from sim.eyes import TrueEyes
@@ -235,3 +237,128 @@ def test_a_record_without_an_end_is_said_to_break_off(flown: tuple[Path, Trace],
     lines = (flown[0] / CONTROL).read_bytes().splitlines(keepends=True)
     (tmp_path / CONTROL).write_bytes(b"".join(lines[:-1]))
     assert [act.name for act in run_of(tmp_path, COMMAND).acts] == ["the record breaks off"]
+
+
+# ------------------------------------------------------------------------------------------------ what is damaged
+def _output_of_nobody(line: dict[str, Any]) -> None:
+    line["output"] = {"is": "Plan", "steps": []}
+
+
+def _unknown_mode(line: dict[str, Any]) -> None:
+    line["output"]["mode"]["name"] = "$\\frac"
+
+
+def _list_for_a_mode(line: dict[str, Any]) -> None:
+    line["output"]["mode"] = []
+
+
+def _word_for_a_range(line: dict[str, Any]) -> None:
+    line["output"]["target"] = {"fix": {"range_m": "far"}}
+
+
+def _list_for_a_setpoint(line: dict[str, Any]) -> None:
+    line["output"]["setpoint"] = [1, 2]
+
+
+def _short_velocity(line: dict[str, Any]) -> None:
+    line["output"]["setpoint"] = {"velocity_ned_mps": [1.0, 2.0], "yaw_rate_radps": 0.0}
+
+
+def _monstrous_rate(line: dict[str, Any]) -> None:
+    line["output"]["setpoint"] = {"velocity_ned_mps": [1.0, 2.0, 3.0], "yaw_rate_radps": 10**400}
+
+
+def _number_for_notes(line: dict[str, Any]) -> None:
+    line["output"]["notes"] = 3
+
+
+def _no_time(line: dict[str, Any]) -> None:
+    line["inputs"]["now_s"] = {"is": "float", "name": "nan"}
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        _output_of_nobody,
+        _unknown_mode,
+        _list_for_a_mode,
+        _word_for_a_range,
+        _list_for_a_setpoint,
+        _short_velocity,
+        _monstrous_rate,
+        _number_for_notes,
+        _no_time,
+        None,  # a line that is cut in the middle
+    ],
+)
+def test_a_damaged_line_is_left_out_and_said_on_the_page_and_the_rest_is_shown(
+    flown: tuple[Path, Trace], tmp_path: Path, spoil: Callable[[dict[str, Any]], None] | None
+) -> None:
+    for name in (ABOUT, CONFIG):
+        (tmp_path / name).write_bytes((flown[0] / name).read_bytes())
+    lines = (flown[0] / CONTROL).read_bytes().splitlines(keepends=True)
+    if spoil is None:
+        lines[50] = lines[50][:100] + b"\n"
+    else:
+        content = json.loads(lines[50])
+        spoil(content)
+        lines[50] = line_of(content)
+    (tmp_path / CONTROL).write_bytes(b"".join(lines))
+    run = run_of(tmp_path, COMMAND)
+    times_s = [moment.time_s for moment in run.trace.moments]
+    assert times_s == [moment.time_s for k, moment in enumerate(run_of(flown[0], COMMAND).trace.moments) if k != 50]
+    assert "line 51 is damaged, or of another version" in str(run.facts["damage"])
+    assert [act.name for act in run.acts] == ["the record is damaged: see below", "application ended"]
+    assert 49 / 20 - 1e-6 < run.acts[0].time_s < 50 / 20 + 1e-6  # that of the line, where it can be read
+
+
+def test_a_damaged_record_makes_a_page_and_one_line_and_one_without_a_good_step_only_the_line(
+    command: Callable[..., int], flown: tuple[Path, Trace], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in (ABOUT, CONFIG):
+        (tmp_path / name).write_bytes((flown[0] / name).read_bytes())
+    lines = (flown[0] / CONTROL).read_bytes().splitlines(keepends=True)
+    (tmp_path / CONTROL).write_bytes(b"".join([*lines[:20], b"{}\n", b"[]\n", *lines[22:]]))
+    assert command(str(tmp_path)) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "lines left out: 2, the first: " in line
+    assert "line 21 is damaged" in line
+    page = Page((tmp_path / PAGE).read_text())
+    assert "the record is damaged" in page.text
+    assert "line 21 is damaged" in page.text
+    (tmp_path / CONTROL).write_bytes(b"{}\n")
+    with pytest.raises(UsageError, match=r"line 1 is damaged") as raised:
+        command(str(tmp_path))
+    assert "\n" not in str(raised.value)
+
+
+# ------------------------------------------------------------------------------------------------ how it ended
+def test_the_last_words_are_among_the_texts_at_their_time(tmp_path: Path) -> None:
+    record = FlightRecord(tmp_path, SCENARIO.config(stage(SCENARIO.stage, 7)), OUR_CLOCK_S, 0)
+    fly(SCENARIO, "ardupilot", TrueEyes, recorder=record.add, farewell=record.add_farewell)
+    record.close()
+    run = run_of(tmp_path, COMMAND)
+    ((time_s, text),) = run.last_words
+    assert time_s == pytest.approx(SCENARIO.duration_s)
+    assert text == f"Follow ended: {Reason.SHUTDOWN.value}"
+    write_report(tmp_path, tmp_path, COMMAND)
+    assert text in Page((tmp_path / PAGE).read_text()).text
+
+
+def test_what_the_controller_raised_is_said(tmp_path: Path) -> None:
+    config = parse("[camera]\nfocal_px = 900\n")
+    record, step = FlightRecord(tmp_path, config, 0.0, 0), Follower(config).step(0.0, b"", None)
+    record.add(step)
+    record.add_failed(FailedStep(replace(step.inputs, now_s=0.05), (), "ValueError: <a mistake>"))
+    record.add_farewell(0.06, ())
+    record.close()
+    acts = [(act.time_s, act.name) for act in run_of(tmp_path, COMMAND).acts]
+    assert acts == [(0.05, "the controller raised ValueError: <a mistake>"), (0.06, "application ended")]
+
+
+def test_the_folder_above_a_record_is_answered_with_the_record(
+    command: Callable[..., int], flown: tuple[Path, Trace], tmp_path: Path
+) -> None:
+    shutil.copytree(flown[0], tmp_path / "flights" / "one")
+    with pytest.raises(UsageError, match=f"give a record below it: {tmp_path / 'flights' / 'one'}$"):
+        command(str(tmp_path))

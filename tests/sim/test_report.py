@@ -224,10 +224,43 @@ def test_the_page_shows_every_check_with_what_was_measured_and_wanted() -> None:
     for verdict in run.verdicts:
         assert verdict.name in text
         assert verdict.wanted in text
-        assert verdict.measured.startswith("nan") or verdict.measured in text
+        assert verdict.measured in text
     assert "no figure" in text
     assert text.count("✓") == 2
     assert text.count("✗") == 2
+
+
+def test_what_a_flight_was_too_short_for_is_not_reached_and_failed() -> None:
+    run = run_of((Check("late", "m", lambda _: 1.0, least=0, start_s=1.5), *CHECKS[:1]))
+    assert not run.is_passed
+    text = Page(run_page(run, [])).text
+    assert "not reached: begins at 1.5 s" in text
+    assert "1 of 2 checks passed" in text
+    late = json.loads(verdict_json(run))["checks"][0]
+    assert (late["passed"], late["figure"], late["measured"]) == (False, None, "not reached: begins at 1.5 s")
+    assert run_of((Check("just", "m", lambda _: 1.0, least=0, start_s=1.0),)).is_passed
+
+
+def test_no_check_of_any_scenario_claims_or_breaks_on_what_was_not_flown() -> None:
+    short = Trace(tuple(replace(MOMENT, time_s=k / 20) for k in range(5)))
+    for scenario in SCENARIOS.values():
+        for check in scenario.checks:
+            verdict = check.judge(short)
+            assert (verdict.unreached_s is not None) is (check.start_s > 0), check.name
+            assert "nan" not in verdict.measured
+
+
+def test_the_last_words_stand_in_the_log_at_their_time() -> None:
+    run = replace(run_of(), last_words=((0.7, "Follow ended: <told>"),))
+    page = run_page(run, [])
+    assert "Follow ended: &lt;told&gt;" in page
+    assert page.index("unplugged") < page.index("Follow ended") < page.index("Target lost")
+
+
+def test_half_a_character_of_a_record_makes_a_page(tmp_path: Path) -> None:
+    prepare_folder(tmp_path)
+    write_run(run_of(moments=(replace(MOMENT, texts=("half \udc80",)), BARE)), tmp_path)
+    assert "half ?" in (tmp_path / PAGE).read_text()
 
 
 def test_the_page_has_the_operators_log_the_acts_and_the_facts() -> None:
