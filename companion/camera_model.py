@@ -20,8 +20,8 @@ from mscf.arrays import Real64
 Quaternion = tuple[float, float, float, float]  # (w, x, y, z)
 
 HISTORY_S = 2.0  # longer than any frame is useful
+MAX_ATTITUDE_GAP_S = 0.3  # between two attitudes, over which nothing is interpolated, and beyond the last one
 _VERTICAL = 1e-4  # cosine of a pitch at which roll and yaw are one
-_MAX_GAP_S = 0.3  # between two attitudes, over which nothing is interpolated, and beyond the last one
 
 
 def wrapped(angle_rad: float) -> float:
@@ -69,6 +69,20 @@ def product(first: Quaternion, second: Quaternion) -> Quaternion:
         a * y - b * z + c * w + d * x,
         a * z + b * y - c * x + d * w,
     )
+
+
+def on_the_way(first: Quaternion, second: Quaternion, share: float) -> Quaternion:
+    """Rotation after a share of the shortest turn from one to another; above 1 that turn goes on at its rate.
+
+    K. Shoemake, "Animating Rotation with Quaternion Curves", SIGGRAPH 1985.
+    """
+    w, x, y, z = product((first[0], -first[1], -first[2], -first[3]), second)
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine == 0:
+        return first
+    half_rad = math.atan2(sine, abs(w)) * share
+    scale = math.copysign(math.sin(half_rad) / sine, w)  # q and -q are one rotation: the nearer one counts
+    return product(first, (math.cos(half_rad), scale * x, scale * y, scale * z))
 
 
 def rotation_of(q: Sequence[float]) -> Real64 | None:
@@ -203,22 +217,31 @@ class AttitudeHistory:
         """Forget all: the autopilot began anew."""
         self._attitudes.clear()
 
-    def at(self, time_s: float) -> Attitude | None:
-        """Attitude at a time, interpolated; None where none is near.
-
-        Up to 0.3 s after the newest one, that one turned on by its yaw rate: a frame may be newer than the link.
-        """
+    def around(self, time_s: float) -> tuple[Attitude, Attitude | None] | None:
+        """The last one that is not later than a time, and the next one, if there is one; None where all are later."""
         later: Attitude | None = None
         for earlier in reversed(self._attitudes):
             if earlier.time_s <= time_s:
-                if later is None:
-                    gap_s = time_s - earlier.time_s
-                    yaw_rad = wrapped(earlier.yaw_rad + gap_s * earlier.yaw_rate_radps)
-                    turned = Attitude(time_s, earlier.roll_rad, earlier.pitch_rad, yaw_rad, earlier.yaw_rate_radps)
-                    return turned if gap_s <= _MAX_GAP_S else None
-                return _between(earlier, later, time_s) if later.time_s - earlier.time_s <= _MAX_GAP_S else None
+                return earlier, later
             later = earlier
         return None
+
+    def at(self, time_s: float) -> Attitude | None:
+        """Attitude at a time, interpolated; None where none is near.
+
+        Up to 0.3 s after the newest one, that one turned on by its yaw rate: a frame may be newer than the link. Angle
+        by angle, which is the rotation itself as long as a vehicle does not stand on its nose or tail.
+        """
+        found = self.around(time_s)
+        if found is None:
+            return None
+        earlier, later = found
+        if later is not None:
+            return _between(earlier, later, time_s) if later.time_s - earlier.time_s <= MAX_ATTITUDE_GAP_S else None
+        gap_s = time_s - earlier.time_s
+        yaw_rad = wrapped(earlier.yaw_rad + gap_s * earlier.yaw_rate_radps)
+        turned = Attitude(time_s, earlier.roll_rad, earlier.pitch_rad, yaw_rad, earlier.yaw_rate_radps)
+        return turned if gap_s <= MAX_ATTITUDE_GAP_S else None
 
 
 def _between(earlier: Attitude, later: Attitude, time_s: float) -> Attitude:

@@ -526,6 +526,8 @@ class Controller:
             chosen_s=now_s,
             awaiting_s=-math.inf,
         )
+        if state.mode.is_engaged:  # it stands until the operator confirms what the tracker has made of the new box
+            self._say(Severity.NOTICE, "New target selected: holding")
         if self._has_gimbal and state.gimbal.manager is None:
             self._say(Severity.WARNING, "No gimbal heard: target cannot be measured")
         self._event(Event.SELECTED, is_optional=True)
@@ -612,7 +614,9 @@ class Controller:
             self._event(Event.HOLD_DUE)
         if self._state.mode in {Mode.COASTING, Mode.HOLDING, Mode.SEARCHING} and lost_s > loss.confirm_after_s:
             self._change(must_confirm=True)
-        if self._state.mode is Mode.HOLDING and loss.search_after_s and lost_s >= loss.search_after_s:
+        # one that was never seen has no side to look on
+        is_search_due = state.target is not None and loss.search_after_s and lost_s >= loss.search_after_s
+        if self._state.mode is Mode.HOLDING and is_search_due:
             self._event(Event.SEARCH_DUE)
         is_searching = self._state.mode in {Mode.HOLDING, Mode.SEARCHING} and lost_s >= loss.give_up_after_s
         is_waiting = self._state.mode is Mode.AWAITING and now_s - self._state.awaiting_s >= loss.give_up_after_s
@@ -637,8 +641,10 @@ class Controller:
             return ZERO, ("heartbeat late",)
         if state.mode is Mode.SEARCHING:
             return Setpoint((0.0, 0.0, 0.0), self._search_rate(now_s)), ("target lost, searching",)
+        if state.mode is Mode.HOLDING:
+            return ZERO, ("target lost, holding" if state.target is not None else "new target selected, holding",)
         if state.mode not in {Mode.FOLLOWING, Mode.COASTING} or state.target is None or state.aim is None:
-            return ZERO, ("target lost, holding",) if state.mode is Mode.HOLDING else ("waiting for confirmation",)
+            return ZERO, ("waiting for confirmation",)
         camera = self._steering_camera()
         mount_yaw_rad = camera.mount_rpy_rad[2]
         if state.mode is Mode.COASTING:

@@ -8,7 +8,18 @@ loop: a gimbal that is slow is late, and does not swing.
 import math
 from dataclasses import dataclass, replace
 
-from companion.camera_model import AttitudeHistory, CameraModel, angles, rotation, wrapped
+from companion.camera_model import (
+    MAX_ATTITUDE_GAP_S,
+    AttitudeHistory,
+    CameraModel,
+    angles,
+    on_the_way,
+    product,
+    quaternion,
+    rotation,
+    rotation_of,
+    wrapped,
+)
 from companion.config import GimbalConfig
 from companion.guidance import MAX_PREDICTION_S
 from companion.target import BEARING_TAU_S, MAX_GAP_S, Rate, TargetEstimate
@@ -23,10 +34,11 @@ from companion.types import (
     LinkEvent,
     Rebooted,
 )
+from mscf.arrays import Real64
 
 MAX_CONTROL_AGE_S = 1.5  # of the manager's word on who has it; it is asked for five times a second
 MAX_AHEAD_S = 0.1  # of a frame before the newest attitude of the gimbal
-STEEP_RAD = math.radians(60.0)
+MIN_TURN_S = 0.02  # between two attitudes that tell how fast it turns: of nearer ones the noise would
 CLAIM_EVERY_S = 1.0  # an order whose effect does not show is given again
 MAX_PAUSE_S = 0.5  # in aiming, after which it begins from where the gimbal looks
 TAKEN_OVER = "Gimbal taken over by another station: let go"
@@ -34,7 +46,11 @@ IN_USE = "Gimbal in use by another station: not turned"
 
 
 class GimbalHistory:
-    """Where the camera looked in the last two seconds, to be asked for a frame's time."""
+    """Where the camera looked in the last two seconds, to be asked for a frame's time.
+
+    A gimbal looks straight down, where yaw and roll stand for one another and noise moves them by any amount: only the
+    rotation that they make together counts, and between two it is the shortest turn.
+    """
 
     def __init__(self) -> None:
         self._attitudes = AttitudeHistory()
@@ -45,40 +61,55 @@ class GimbalHistory:
         if attitude.is_yaw_on_earth is not self._is_yaw_on_earth:
             self._attitudes.clear()
             self._is_yaw_on_earth = attitude.is_yaw_on_earth
-        before = self._attitudes.newest
-        gap_s = attitude.time_s - before.time_s if before is not None else 0.0
-        turned_rad = wrapped(attitude.yaw_rad - before.yaw_rad) if before is not None else 0.0
-        # looking straight down, yaw and roll stand for one another: their noise is no rate
-        has_rate = 0 < gap_s <= MAX_AHEAD_S and abs(attitude.pitch_rad) < STEEP_RAD
-        rate_radps = turned_rad / gap_s if has_rate else 0.0
         self._attitudes.add(
-            Attitude(attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad, rate_radps)
+            Attitude(attitude.time_s, attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad, yaw_rate_radps=0.0)
         )
 
     def clear(self) -> None:
         """Forget all: the clock of what was told began anew."""
         self._attitudes.clear()
 
-    def at(self, time_s: float, vehicle: Attitude) -> Attitude | None:
-        """Attitude of the camera on earth at a time, interpolated; None where none is near.
+    def at(self, time_s: float, vehicle: Attitude) -> Real64 | None:
+        """Rotation (3, 3) from the camera's axes to NED at a time, interpolated; None where no attitude is near.
+
+        Up to 0.1 s after the newest attitude, that one turned on as it turned last.
 
         Parameters
         ----------
         vehicle : attitude at the same time, for a yaw that is told from the nose.
         """
-        newest = self._attitudes.newest
-        if newest is None or time_s - newest.time_s > MAX_AHEAD_S:
+        found = self._around(time_s)
+        if found is None:
             return None
-        found = self._attitudes.at(time_s)
-        if found is None or self._is_yaw_on_earth:
-            return found
-        return replace(found, yaw_rad=wrapped(found.yaw_rad + vehicle.yaw_rad))
+        earlier, later = found
+        span_s = later.time_s - earlier.time_s
+        share = (time_s - earlier.time_s) / span_s if span_s > 0 else 0.0
+        first, second = (quaternion(told.roll_rad, told.pitch_rad, told.yaw_rad) for told in found)
+        turned = on_the_way(first, second, share)
+        if not self._is_yaw_on_earth:  # of the nose's frame only the yaw is the vehicle's: it is level
+            turned = product(quaternion(0.0, 0.0, vehicle.yaw_rad), turned)
+        return rotation_of(turned)
+
+    def _around(self, time_s: float) -> tuple[Attitude, Attitude] | None:
+        """Two attitudes whose turn leads through a time or on to it; twice the newest where its turn is not known."""
+        found = self._attitudes.around(time_s)
+        if found is None:
+            return None
+        earlier, later = found
+        if later is not None:
+            return (earlier, later) if later.time_s - earlier.time_s <= MAX_ATTITUDE_GAP_S else None
+        newest = earlier
+        if time_s - newest.time_s > MAX_AHEAD_S:
+            return None
+        before = self._attitudes.around(newest.time_s - MIN_TURN_S)
+        if before is None or newest.time_s - before[0].time_s > MAX_ATTITUDE_GAP_S:
+            return newest, newest
+        return before[0], newest
 
 
-def mounted(camera: CameraModel, gimbal: Attitude, vehicle: Attitude) -> CameraModel:
-    """The camera as the gimbal holds it in the vehicle's body when both have these attitudes on earth."""
+def mounted(camera: CameraModel, ned_from_camera: Real64, vehicle: Attitude) -> CameraModel:
+    """The camera as the gimbal holds it, by a rotation (3, 3), in the body of a vehicle with this attitude."""
     ned_from_body = rotation(vehicle.roll_rad, vehicle.pitch_rad, vehicle.yaw_rad)
-    ned_from_camera = rotation(gimbal.roll_rad, gimbal.pitch_rad, gimbal.yaw_rad)
     return camera.mounted(angles(ned_from_body.T @ ned_from_camera))
 
 
@@ -148,7 +179,7 @@ class Gimbal:
         return replace(same, is_ours=is_ours, spent=spent, asked_s=asked_s), claim, text
 
     def aimed(
-        self, target: TargetEstimate, vehicle: Attitude, camera: Attitude, now_s: float, config: GimbalConfig
+        self, target: TargetEstimate, vehicle: Attitude, ned_from_camera: Real64, now_s: float, config: GimbalConfig
     ) -> tuple["Gimbal", GimbalAim]:
         """Turn towards where the target is predicted to be now, as fast as configured; hold where nothing is.
 
@@ -157,14 +188,14 @@ class Gimbal:
 
         Parameters
         ----------
-        vehicle : attitude now. camera : attitude on earth that the gimbal told last.
+        vehicle : attitude now. ned_from_camera : rotation (3, 3) by what the gimbal told last.
         """
         after = self._watched(target)
         assert after.depression is not None
         pause_s = now_s - self.told_s
         is_going_on = 0 <= pause_s <= MAX_PAUSE_S
-        pitch_rad = self.told_pitch_rad if is_going_on else camera.pitch_rad
-        yaw_rad = self.told_yaw_rad if is_going_on else camera.yaw_rad
+        told_rad = self.told_pitch_rad, self.told_yaw_rad
+        pitch_rad, yaw_rad = told_rad if is_going_on else _pitch_and_yaw(ned_from_camera)
         has_yaw = config.axes == "pitch_yaw"
         if not has_yaw:
             yaw_rad = vehicle.yaw_rad
@@ -203,6 +234,12 @@ class Gimbal:
             return wrapped(bearing_rad - yaw_rad)
         wish_rad = min(max(wrapped(bearing_rad - vehicle.yaw_rad), ends[0]), ends[1])
         return wish_rad - wrapped(yaw_rad - vehicle.yaw_rad)
+
+
+def _pitch_and_yaw(ned_from_camera: Real64) -> tuple[float, float]:
+    """Of a camera (3, 3) that is held without roll: its yaw is that of its right side, which is there straight down."""
+    pitch_rad = math.asin(min(max(-float(ned_from_camera[2, 0]), -1.0), 1.0))
+    return pitch_rad, math.atan2(-ned_from_camera[0, 1], ned_from_camera[1, 1])
 
 
 def _limited(angle_rad: float, most_rad: float) -> float:

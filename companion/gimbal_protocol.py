@@ -31,6 +31,7 @@ from companion.types import (
 ASK_EVERY_S = 2.0
 ATTITUDE_HZ = 30.0  # as frames
 STATUS_HZ = 5.0
+FROZEN_AFTER = 5  # attitudes with one stamp it is none; two routers on the way bring one attitude twice
 MIN_RATE_SHARE = 0.5  # of a rate that was asked for; below, it is asked for again
 HORIZON = mavlink.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
 EARTH_YAW = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_YAW_IN_EARTH_FRAME
@@ -43,6 +44,11 @@ _NAN = math.nan
 
 class GimbalProtocol:
     """The client of one gimbal; silent and deaf where none is configured.
+
+    An attitude is of its `time_boot_ms`. A device that leaves this at 0, or where it is, has no clock that could be
+    mapped to ours: its attitudes are of the time at which they are read. Nothing is taken off that, as nothing is off
+    the smallest delay of a stamp: they are really older, by the link's delay and by up to a period of the command loop
+    (50 ms at 20 Hz, in which a gimbal that turns at 40 degrees/s turns by 2).
 
     Parameters
     ----------
@@ -58,6 +64,7 @@ class GimbalProtocol:
         self._holder = Holder.NOBODY
         self._autopilot_clock = autopilot_clock
         self._device_clock = BootClock()
+        self._stamp_ms, self._repeats = 0, 0  # time_boot_ms of the last attitude, and how many had it before
         self._asked_s = -math.inf
         self._heard = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0, "GIMBAL_MANAGER_STATUS": 0}  # since then
 
@@ -66,6 +73,7 @@ class GimbalProtocol:
         if self._config.axes == "none":
             return ()
         events: list[LinkEvent | None] = []
+        attitudes: dict[float, GimbalAttitude] = {}  # of several without a stamp, the last one is of this time
         for message in messages:
             if message.get_srcSystem() != self._mav.srcSystem:
                 continue
@@ -75,8 +83,10 @@ class GimbalProtocol:
                 case "GIMBAL_MANAGER_STATUS" if message.get_srcComponent() == self._manager:
                     events.append(self._status(message, now_s))
                 case "GIMBAL_DEVICE_ATTITUDE_STATUS" if self._is_device(message):
-                    events.append(self._attitude(message, now_s))
-        return tuple(event for event in events if event is not None)
+                    attitude = self._attitude(message, now_s)
+                    if attitude is not None:
+                        attitudes[attitude.time_s] = attitude
+        return (*(event for event in events if event is not None), *attitudes.values())
 
     def _information(self, message: Any) -> LinkEvent | None:
         """What the manager says of the gimbal; the first one that has ours is the manager."""
@@ -117,21 +127,32 @@ class GimbalProtocol:
             return bool(message.gimbal_device_id == self._device)
         return message.get_srcComponent() in {self._device, self._manager}
 
-    def _attitude(self, message: Any, now_s: float) -> LinkEvent | None:
+    def _attitude(self, message: Any, now_s: float) -> GimbalAttitude | None:
         ned_from_camera = rotation_of(message.q)
         if ned_from_camera is None:
             return None
         self._heard["GIMBAL_DEVICE_ATTITUDE_STATUS"] += 1
-        boot_s = message.time_boot_ms / 1000
+        time_s = self._time_s(message.get_srcComponent(), message.time_boot_ms, now_s)
+        if time_s is None:
+            return None
+        return GimbalAttitude(time_s, *angles(ned_from_camera), _is_yaw_on_earth(message.flags))
+
+    def _time_s(self, component: int, boot_ms: int, now_s: float) -> float | None:
+        """Our time of an attitude; None where it is not known."""
+        self._repeats = self._repeats + 1 if boot_ms == self._stamp_ms else 0
+        self._stamp_ms = boot_ms
+        if boot_ms == 0 or self._repeats >= FROZEN_AFTER:
+            self._device_clock.reset()  # should it tick later, it does so from another time
+            return now_s
+        boot_s = boot_ms / 1000
         clock = self._device_clock  # a manager that is not the autopilot counts from its own start
-        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
+        if component == AUTOPILOT_COMPONENT:
             clock = self._autopilot_clock
             if clock.has_gone_back(boot_s):  # that it began anew is for the codec to see, and to say
                 return None
         elif clock.has_gone_back(boot_s):
             clock.reset()
-        time_s = clock.ours_s(boot_s, now_s)
-        return GimbalAttitude(time_s, *angles(ned_from_camera), _is_yaw_on_earth(message.flags))
+        return clock.ours_s(boot_s, now_s)
 
     def send(self, order: GimbalOrder, autopilot: Autopilot | None, now_s: float) -> None:
         """Write an order; ask for what the manager does not say by itself, again where it does not come."""

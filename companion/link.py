@@ -8,6 +8,7 @@ import contextlib
 import errno
 import fcntl
 import logging
+import math
 import os
 import socket
 import stat
@@ -28,6 +29,9 @@ MAX_QUEUE_S = 0.1  # of data that waits in a serial port's driver; more would be
 MIN_QUEUE = 512  # bytes that may wait there in any case, and in a TCP connection: what one step may write
 MAX_PEERS = 8
 PEER_TIMEOUT_S = 10.0  # after which a silent UDP client is written to no more
+CLIENT_TIMEOUT_S = (
+    3.0  # for which a TCP client may be silent and keep its place: an autopilot's heartbeats are no later
+)
 _READ_SIZE = 65536
 _MOST_PACKETS = 1000  # at a read: empty ones never fill it
 _FLUSH_WAIT_S = 0.005
@@ -109,11 +113,17 @@ class _UdpClient:
 
 
 class _TcpPort:
-    """A client, or a server for one client at a time."""
+    """A client, or a server for one client at a time.
+
+    Who has connected keeps its place until it closes or has been silent for 3 s: nobody else who can reach the port is
+    to take that of an autopilot that obeys us. One that comes back sooner is turned away, too, and has to try again.
+    """
 
     def __init__(self, address: tuple[str, int], *, is_server: bool) -> None:
         self._listener: socket.socket | None = None
         self._socket: socket.socket | None = None
+        self._heard_s = -math.inf  # when the client was taken in, or spoke last
+        self._has_refused = False  # another one, since then
         if is_server:
             self._listener = socket.create_server(address, backlog=1)
             self._listener.settimeout(0)
@@ -122,16 +132,30 @@ class _TcpPort:
             _prepare_tcp(self._socket)
 
     def read(self, now_s: float) -> bytes:
-        if self._listener is not None:
-            try:
-                connection, _ = self._listener.accept()
-            except BlockingIOError:
-                pass
-            else:
-                if self._socket is not None:
-                    self._socket.close()  # a client that comes back replaces what is left of itself
-                self._socket = connection
-                _prepare_tcp(connection)
+        data = self._received(now_s)  # first: after a stall of ours, what it has said meanwhile keeps it its place
+        if self._listener is not None and self._has_taken_in(self._listener, now_s):
+            data += self._received(now_s)
+        return data
+
+    def _has_taken_in(self, listener: socket.socket, now_s: float) -> bool:
+        """Whether a client is new; one at most for whom there is no place is turned away."""
+        try:
+            connection, (host, *_) = listener.accept()
+        except OSError:  # nobody, or gone again: no reason to lose who is there
+            return False
+        if self._socket is not None and now_s - self._heard_s < CLIENT_TIMEOUT_S:
+            connection.close()
+            if not self._has_refused:  # said once: who tries again and again would fill the log
+                logger.warning("link: turned away %s: another client is connected, and speaks", host)
+            self._has_refused = True
+            return False
+        if self._socket is not None:
+            self._socket.close()
+        _prepare_tcp(connection)
+        self._socket, self._heard_s, self._has_refused = connection, now_s, False
+        return True
+
+    def _received(self, now_s: float) -> bytes:
         data = b""
         while self._socket is not None and len(data) < _READ_SIZE:  # to the last byte, as a serial port is
             try:
@@ -143,6 +167,8 @@ class _TcpPort:
             if not part:
                 self._drop()
             data += part
+        if data:
+            self._heard_s = now_s
         return data
 
     def write(self, data: bytes) -> int:

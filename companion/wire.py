@@ -1,17 +1,22 @@
 """The bytes of one link: MAVLink 2 messages in, messages of all our components out. Sans-I/O: no port, no clock.
 
 There is one parser, whoever of us a message is for, and one sender a component: each has its own sequence numbers. What
-the senders write leaves in the order in which it was written.
+the senders write leaves in the order in which it was written, but for what moves the vehicle: on a slow port a setpoint
+would be old before it had got past the answers to a ground station's questions, which may wait.
 """
 
 import os
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("MAVLINK20", "1")  # read by pymavlink at import; version 1 cannot carry what we send
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.signing import Signing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _MAX_BACKLOG = 65536  # bytes handed to the parser at once; a longer read is old
 
@@ -39,6 +44,7 @@ class Wire:
         self._signing = signing
         self._system_id = system_id
         self._outbox = _Outbox()
+        self._waiting: list[tuple[Any, Callable[[], None]]] = []  # messages, and what packs each into the outbox
         self._parser = self._end(0)
         self._parser.robust_parsing = True
         self._senders: dict[int, Any] = {}
@@ -57,8 +63,13 @@ class Wire:
     def sender(self, component_id: int) -> Any:
         """What a component of ours sends with: pymavlink's `MAVLink`, whose `*_send` methods write to this wire."""
         if component_id not in self._senders:
-            self._senders[component_id] = self._end(component_id)
+            end = self._senders[component_id] = self._end(component_id)
+            end.send = partial(self._hold, end)
         return self._senders[component_id]
+
+    def _hold(self, end: Any, message: Any, **version: Any) -> None:
+        """Keep a message for `drain`: overtaken after packing it would be out of sequence, a replay where signed."""
+        self._waiting.append((message, partial(mavlink.MAVLink.send, end, message, **version)))
 
     def _end(self, component_id: int) -> Any:
         end = mavlink.MAVLink(self._outbox, self._system_id, component_id)
@@ -89,6 +100,25 @@ class Wire:
         return message.get_srcSystem() == self._system_id and message.get_srcComponent() in self._senders
 
     def drain(self) -> tuple[bytes, ...]:
-        """All messages to be written since the last call, in order."""
-        packets, self._outbox.packets = tuple(self._outbox.packets), []
-        return packets
+        """All messages to be written since the last call: first those that are urgent, each kind in order."""
+        # all that wait are gone whatever happens: one that cannot be packed is not to be in the way of last words
+        waiting, self._waiting = self._waiting, []
+        self._outbox.packets = []
+        for _, pack in sorted(waiting, key=lambda held: not _is_urgent(held[0])):
+            pack()
+        return tuple(self._outbox.packets)
+
+
+def _is_urgent(message: Any) -> bool:
+    """Whether a message steers the vehicle, or asks for a time, whose answer would look late by what is ahead of it.
+
+    A request for a flight mode counts, too: ahead of it, a setpoint alone may bring PX4 back to OFFBOARD.
+    """
+    match message.get_type():
+        case "SET_POSITION_TARGET_LOCAL_NED":
+            return True
+        case "COMMAND_LONG":
+            return bool(message.command == mavlink.MAV_CMD_DO_SET_MODE)
+        case "TIMESYNC":
+            return bool(message.tc1 == 0)
+    return False

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.config import GimbalConfig, parse
 from companion.follower import Follower
-from companion.gimbal_protocol import ASK_EVERY_S, EARTH_YAW, HORIZON, VEHICLE_YAW, GimbalProtocol
+from companion.gimbal_protocol import ASK_EVERY_S, EARTH_YAW, FROZEN_AFTER, HORIZON, VEHICLE_YAW, GimbalProtocol
 from companion.time_sync import BootClock
 from companion.types import (
     Autopilot,
@@ -175,6 +175,66 @@ def test_a_managers_attitude_is_of_the_autopilots_clock_and_a_devices_of_its_own
     (late,) = desk.hear(attitude(device=device, boot_ms=5100), component=component, now_s=50.3)
     assert isinstance(late, GimbalAttitude)
     assert late.time_s == pytest.approx(time_s, abs=1e-3)
+
+
+TO_THE_LEFT, TO_THE_RIGHT = about(2, -0.3), about(2, 0.3)
+
+
+@pytest.mark.parametrize(("component", "device"), [(1, DEVICE), (154, 154)])
+@pytest.mark.parametrize("boot_ms", [0, 5000])
+def test_attitudes_whose_stamp_stands_still_are_of_the_time_at_which_they_are_read(
+    component: int, device: int, boot_ms: int
+) -> None:
+    desk = introduced(device=device)
+    desk.clock.ours_s(400.0, 49.9)  # the autopilot's own messages have another time
+    told = [
+        desk.hear(attitude(device=device, boot_ms=boot_ms), component=component, now_s=50.0 + 0.05 * k)
+        for k in range(40)
+    ]
+    known = [event.time_s for events in told[FROZEN_AFTER:] for event in events if isinstance(event, GimbalAttitude)]
+    assert known == pytest.approx([50.0 + 0.05 * k for k in range(FROZEN_AFTER, 40)])
+
+
+def test_a_stamp_of_nothing_needs_no_second_to_be_known_for_one() -> None:
+    (event,) = introduced().hear(attitude(boot_ms=0), now_s=50.0)
+    assert isinstance(event, GimbalAttitude)
+    assert event.time_s == 50.0
+
+
+def test_of_attitudes_without_a_stamp_that_are_read_together_the_last_one_counts() -> None:
+    desk = introduced()
+    both = attitude(TO_THE_LEFT, boot_ms=0), attitude(TO_THE_RIGHT, boot_ms=0)
+    (event,) = desk.hear(*both, now_s=50.0)
+    assert isinstance(event, GimbalAttitude)
+    assert event.yaw_rad == pytest.approx(0.3)
+
+
+def test_an_attitude_that_comes_twice_is_no_newer_than_the_first() -> None:
+    desk = introduced()
+    desk.hear(attitude(boot_ms=5000), now_s=50.0)
+    (again,) = desk.hear(attitude(boot_ms=5000), now_s=50.9)  # by another way
+    assert isinstance(again, GimbalAttitude)
+    assert again.time_s == pytest.approx(50.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("component", "device"), [(1, DEVICE), (154, 154)])
+def test_a_stamp_that_begins_to_advance_counts_again(component: int, device: int) -> None:
+    desk = introduced(device=device)
+    desk.clock.ours_s(5.0, 50.0)
+    for k in range(20):
+        desk.hear(attitude(device=device, boot_ms=6000), component=component, now_s=51.0 + 0.05 * k)
+    desk.hear(attitude(device=device, boot_ms=7000), component=component, now_s=52.0)
+    (late,) = desk.hear(attitude(device=device, boot_ms=7050), component=component, now_s=52.2)
+    assert isinstance(late, GimbalAttitude)
+    assert late.time_s == pytest.approx(52.05, abs=1e-3)
+
+
+def test_a_stamp_that_stands_still_says_nothing_of_the_autopilots_clock() -> None:
+    desk = introduced()
+    before_s = desk.clock.ours_s(400.0, 50.0)
+    for k in range(20):
+        desk.hear(attitude(boot_ms=0), now_s=50.0 + 0.05 * k)
+    assert desk.clock.ours_s(401.0, 51.2) == pytest.approx(before_s + 1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(

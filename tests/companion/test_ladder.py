@@ -103,13 +103,13 @@ def test_a_search_turns_to_the_side_on_which_it_was_lost_and_once_around_at_most
     assert {speed_mps(output) for output in outputs} == {0.0}
 
 
-def test_a_search_for_a_target_that_was_never_seen_turns_nowhere() -> None:
+def test_a_target_that_was_never_seen_is_waited_for_and_not_searched_for() -> None:
     cockpit = Cockpit(FOLLOW).engage()
     cockpit.is_seen = False
-    cockpit.step(Select(AHEAD))
-    outputs = cockpit.run(13.0)
-    assert Mode.SEARCHING in {output.mode for output in outputs}
+    outputs = [cockpit.step(Select(AHEAD)), *cockpit.run(13.0)]
+    assert {output.mode for output in outputs} == {Mode.HOLDING, Mode.LEAVING}
     assert {sent(output) for output in outputs} == {ZERO}
+    assert {output.notes for output in outputs if output.mode is Mode.HOLDING} == {("new target selected, holding",)}
     assert cockpit.mode is Mode.LEAVING
 
 
@@ -221,6 +221,28 @@ def test_another_target_chosen_while_engaged_is_not_followed_before_it_is_confir
     assert aim.height_px == 30
 
 
+@pytest.mark.parametrize("mode", [Mode.FOLLOWING, Mode.COASTING, Mode.HOLDING, Mode.SEARCHING, Mode.AWAITING])
+def test_the_operator_hears_that_it_holds_for_another_choice_and_not_that_the_target_is_lost(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    said, steps = len(cockpit.texts), len(cockpit.outputs)
+    cockpit.is_seen = False
+    output = cockpit.step(Select(AHEAD))
+    assert [text.text for text in output.texts] == ["New target selected: holding"]
+    cockpit.run(0.5)
+    cockpit.is_seen = True
+    cockpit.run(0.5)
+    assert cockpit.texts[said:] == ["New target selected: holding", "Target seen: engage to confirm"]
+    assert not any("lost" in note for output in cockpit.outputs[steps:] for note in output.notes)
+    cockpit.is_seen = False  # once it was seen it can be lost
+    assert cockpit.run(1.0)[-1].notes == ("target lost, holding",)
+
+
+@pytest.mark.parametrize("mode", [Mode.READY, Mode.LEAVING])
+def test_a_choice_while_nothing_is_followed_holds_nothing(mode: Mode) -> None:
+    cockpit = brought_to(mode)
+    assert not any("holding" in text.text for text in cockpit.step(Select(AHEAD)).texts)
+
+
 def test_a_sample_of_the_old_choice_says_nothing_of_the_new_one() -> None:
     cockpit = Cockpit().engage()
     cockpit.step(Select(AHEAD))
@@ -230,5 +252,5 @@ def test_a_sample_of_the_old_choice_says_nothing_of_the_new_one() -> None:
         now_s = late.now_s + k * STEP_S
         old = replace(late.track, seq=1000 + k, captured_s=now_s, selection=1)
         output = cockpit.put(replace(late, now_s=now_s, track=old, commands=()))
-        assert output.mode in {Mode.HOLDING, Mode.SEARCHING}
+        assert output.mode is Mode.HOLDING
         assert sent(output) == ZERO

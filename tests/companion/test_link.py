@@ -1,5 +1,6 @@
 import contextlib
 import os
+import select
 import socket
 import tty
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ import serial
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.errors import LinkLostError, UsageError
-from companion.link import MAX_PEERS, MIN_QUEUE, PEER_TIMEOUT_S, Link, check_device, open_port
+from companion.link import CLIENT_TIMEOUT_S, MAX_PEERS, MIN_QUEUE, PEER_TIMEOUT_S, Link, check_device, open_port
 
 
 def free_port(kind: int) -> int:
@@ -170,6 +171,97 @@ def test_tcpin_takes_a_client_that_comes_back() -> None:
             assert until(lambda: link.read(0.1), 5) == word
     assert not link.fault
     link.close()
+
+
+class Hall:
+    """A server's link, whose clock is at 100 s, and those who come to it."""
+
+    def __init__(self) -> None:
+        self._number = free_port(socket.SOCK_STREAM)
+        self.link = Link(f"tcpin:127.0.0.1:{self._number}", 0)
+        self.link.read(100.0)
+        self.ends: list[socket.socket] = []
+
+    def come(self) -> socket.socket:
+        """Somebody connects; the loopback has it in the server's queue when this returns."""
+        end = socket.create_connection(("127.0.0.1", self._number), timeout=5.0)
+        self.ends.append(end)
+        return end
+
+    def hear(self, end: socket.socket, word: bytes, now_s: float) -> bytes:
+        """What the link reads once an end has spoken."""
+        end.sendall(word)
+        return until(lambda: self.link.read(now_s), len(word))
+
+    def has_gone(self, end: socket.socket, now_s: float) -> bool:
+        """Whether the server closes a connection when it reads."""
+        end.settimeout(0.0)
+        for _ in range(20000):  # so often that the loopback has time to deliver
+            self.link.read(now_s)
+            try:
+                return end.recv(100) == b""
+            except BlockingIOError:
+                continue
+            except ConnectionResetError:  # closed with something unread
+                return True
+        return False
+
+
+@pytest.fixture
+def hall() -> Iterator[Hall]:
+    hall = Hall()
+    yield hall
+    hall.link.close()
+    for end in hall.ends:
+        end.close()
+
+
+def test_tcpin_turns_away_whoever_comes_while_the_first_one_speaks(
+    hall: Hall, caplog: pytest.LogCaptureFixture
+) -> None:
+    autopilot = hall.come()
+    for k in range(10):
+        now_s = 101.0 + k * (CLIENT_TIMEOUT_S - 0.1)
+        assert hall.hear(autopilot, b"alive", now_s) == b"alive"
+        stranger = hall.come()
+        stranger.sendall(b"engage!")
+        assert hall.has_gone(stranger, now_s + CLIENT_TIMEOUT_S - 0.2)
+    hall.link.write(b"setpoint")
+    assert autopilot.recv(100) == b"setpoint"
+    assert not hall.link.fault
+    assert [record.message for record in caplog.records if "turned away" in record.message] == [
+        "link: turned away 127.0.0.1: another client is connected, and speaks"
+    ]
+
+
+def test_tcpin_lets_nobody_in_before_the_one_who_has_just_come_can_have_spoken(hall: Hall) -> None:
+    autopilot = hall.come()
+    hall.link.read(101.0)
+    assert hall.has_gone(hall.come(), 101.05)
+    assert hall.hear(autopilot, b"hello", 101.1) == b"hello"
+
+
+def test_after_a_stall_of_ours_what_has_come_meanwhile_keeps_the_first_ones_place(hall: Hall) -> None:
+    autopilot = hall.come()
+    assert hall.hear(autopilot, b"hello", 101.0) == b"hello"
+    autopilot.sendall(b"alive")
+    stranger = hall.come()
+    assert select.select([hall.link._port._socket], [], [], 5.0)[0]  # type: ignore[union-attr]
+    assert until(lambda: hall.link.read(101.0 + 2 * CLIENT_TIMEOUT_S), 5) == b"alive"
+    assert hall.has_gone(stranger, 101.0 + 2 * CLIENT_TIMEOUT_S)
+
+
+def test_tcpin_gives_a_silent_ones_place_to_the_next(hall: Hall) -> None:
+    silent = hall.come()
+    assert hall.hear(silent, b"hello", 101.0) == b"hello"
+    assert hall.hear(hall.come(), b"again", 101.0 + CLIENT_TIMEOUT_S) == b"again"
+    assert hall.has_gone(silent, 101.0 + CLIENT_TIMEOUT_S)
+
+
+def test_a_client_that_is_alone_may_be_silent_for_as_long_as_it_likes(hall: Hall) -> None:
+    quiet = hall.come()
+    hall.link.read(101.0)
+    assert hall.hear(quiet, b"late", 1000.0) == b"late"
 
 
 def test_a_serial_port_is_read_and_written_without_blocking() -> None:
