@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BENCH_VENV := .venv-bench
 OUT := out
+# what the packages are built of; after a change of it they are installed anew
+BUILD := pyproject.toml setup.py constraints.txt $(wildcard mscf/kernels/src/*)
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -20,12 +22,19 @@ STUDY ?= sampling=pixels scale_interpolation=False color_weight=1 learning_rate=
   pedestal_height=0 label_penalty=0.27 train_interval=2
 comma := ,
 
-.PHONY: help demo test lint bench results clean
+# the compiled core with AddressSanitizer and UndefinedBehaviorSanitizer, and the tests that run it
+SANITIZED := $(OUT)/sanitized
+SANITIZE := -fsanitize=address,undefined -fno-sanitize-recover=all
+SANITIZED_TESTS := $(addprefix tests/mscf/,kernels features test_sampling.py test_spectrum.py test_filter.py test_scale.py \
+  test_mutation.py test_confidence.py test_tracker.py)
+
+.PHONY: help demo test lint sanitize bench results clean
 help:
 	@echo "make demo   fly the closed loop in the simulator; video, plots, verdict and a page in $(OUT)/demo/"
 	@echo "make test   all tests"
 	@echo "make lint   ruff, mypy, import-linter"
-	@echo "make bench  milliseconds by stage, beside OpenCV's CSRT"
+	@echo "make sanitize  the tests of the compiled core, with AddressSanitizer and UBSan"
+	@echo "make bench  milliseconds by stage and kernels, beside OpenCV's CSRT"
 	@echo "make results  accuracy on SEQUENCES, by OPE, TRE and SRE; hours; goes on where it was interrupted"
 
 demo: $(VENV)/installed
@@ -39,6 +48,13 @@ lint: $(VENV)/installed
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+sanitize: $(VENV)/installed
+	rm -rf $(SANITIZED)
+	CXXFLAGS="$(SANITIZE)" LDFLAGS="$(SANITIZE)" $(VENV)/bin/pip install -q --no-deps --target $(SANITIZED) .
+	nm -D $(SANITIZED)/mscf/kernels/_native.abi3.so | grep -q __asan_init
+	LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libubsan.so)" ASAN_OPTIONS=detect_leaks=0 \
+	  $(VENV)/bin/pytest -q -o pythonpath="$(SANITIZED) tests" -k "not numpy" $(SANITIZED_TESTS)
 
 # CSRT is in opencv-contrib-python-headless, which provides the same module cv2: an environment of its own
 bench: $(BENCH_VENV)/installed
@@ -55,12 +71,12 @@ results: $(BENCH_VENV)/installed
 clean:
 	rm -rf $(VENV) $(BENCH_VENV) $(OUT)
 
-$(VENV)/installed: pyproject.toml constraints.txt
+$(VENV)/installed: $(BUILD)
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install -q -e '.[dev]'
 	@touch $@
 
-$(BENCH_VENV)/installed: pyproject.toml constraints.txt
+$(BENCH_VENV)/installed: $(BUILD)
 	$(PYTHON) -m venv $(BENCH_VENV)
 	$(BENCH_VENV)/bin/pip install -q numpy opencv-contrib-python-headless threadpoolctl tqdm matplotlib
 	$(BENCH_VENV)/bin/pip install -q --no-deps -e .

@@ -25,6 +25,7 @@ from companion.replay import replay
 from companion.signing import read_key
 from mscf import MscfError
 from mscf.command_line import EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, EXIT_USAGE, Parser, box
+from mscf.kernels.choice import NATIVE_MISSING, chosen_kernels, has_native
 
 EXIT_FAILED = 1
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h: the unit does not start again after it
@@ -123,6 +124,10 @@ def _config(path: Path) -> Config:
         check_device(config.link.device)
     except UsageError as error:  # in a file it is a wrong configuration: starting again does not mend it
         raise ConfigError(f"{path}: link.device: {error}") from error
+    try:
+        chosen_kernels()
+    except MscfError as error:  # likewise
+        raise ConfigError(str(error)) from error
     read_key(config.signing, os.environ)  # now rather than after the camera has been looked at
     return config
 
@@ -133,6 +138,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for line in warnings(config):
         logger.warning("config: %s", line)
     logger.info("mscf-companion %s, %s", version("mscf-companion"), describe(config))
+    logger.info("tracker: %s kernels", chosen_kernels().name)
     logger.info("config %s", json.dumps(asdict(without_passwords(config))))
     return App(config, Notifier.from_environment(), _control_socket(config.control.socket)).run()
 
@@ -154,6 +160,9 @@ def _check(arguments: argparse.Namespace) -> int:
     print(f"config    {arguments.config}: {describe(config)}")
     for line in warnings(config):
         print(f"          WARNING: {line}")
+    print(f"tracker   {chosen_kernels().name} kernels")
+    if not has_native():
+        print(f"          WARNING: {NATIVE_MISSING}; the tracker takes three times as long")
     if arguments.signs:
         print_signs(config, sys.stdout)
     is_right = check_record(config, os.environ, sys.stdout)

@@ -37,6 +37,7 @@ from companion.config import FILE_NAME, Config, text_of, without_passwords
 from companion.errors import UsageError
 from companion.follower import FailedStep, Step
 from companion.types import ControlInput
+from mscf.kernels.choice import chosen_kernels
 
 ABOUT = "about.json"
 CONFIG = FILE_NAME
@@ -265,6 +266,7 @@ def versions() -> dict[str, str]:
         "numpy": np.__version__,
         "opencv": cv2.__version__,
         "pymavlink": _version("pymavlink"),
+        "kernels": chosen_kernels().name,
         "system": platform.system(),
         "architecture": platform.machine(),
     }

@@ -9,6 +9,7 @@ import numpy as np
 from companion.point_selection import box_around
 from companion.types import Frame, Selection, TrackSample
 from mscf import Expected, LongTermTracker, MscfError, TrackerConfig
+from mscf.kernels.choice import chosen_kernels
 
 if TYPE_CHECKING:
     from mscf.arrays import Image
@@ -30,6 +31,7 @@ class Vision:
 
     def __init__(self, preset: str = "mscf") -> None:
         self._config = TrackerConfig.preset(preset)
+        self._kernels = chosen_kernels()
         self._tracker: LongTermTracker | None = None
         self._selection = 0
         self._fault = ""  # of the selection in force
@@ -77,7 +79,7 @@ class Vision:
             # a box counts areas, a point the middles of pixels
             u, v = box.center_xy
             box = box_around(frame.image, (u - 0.5, v - 0.5), box.w / 2)
-        tracker = LongTermTracker(self._config)
+        tracker = LongTermTracker(self._config, kernels=self._kernels)
         tracker.init(frame.image, box)
         self._tracker = tracker
 

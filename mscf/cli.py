@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 from threadpoolctl import threadpool_limits
 
-from mscf.bench import run_bench
+from mscf.bench import BenchOptions, run_bench
 from mscf.command_line import EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, EXIT_USAGE, Parser, box
 from mscf.config import PRESETS
 from mscf.demo import DemoOptions, ProgressStyle, run_demo
@@ -199,20 +199,36 @@ def _compare_parser() -> Parser:
 def _add_bench(commands: "argparse._SubParsersAction[Parser]") -> None:
     bench = commands.add_parser(
         "bench",
-        help="milliseconds by stage, beside OpenCV's CSRT",
-        description="Measure an update on one thread, by stage, beside OpenCV's CSRT where this cv2 has it.",
+        help="milliseconds by stage and kernels, beside OpenCV's CSRT",
+        description="Measure an update on one thread, by stage, with each of our kernels, beside OpenCV's CSRT where "
+        "this cv2 has it.",
     )
     bench.add_argument(
-        "source", nargs="?", metavar="SOURCE", help="as for demo, with ground truth (default: built-in flight)"
+        "source", nargs="*", metavar="SOURCE", help="as for demo, with ground truth (default: built-in flight)"
     )
     bench.add_argument("--preset", choices=PRESETS, default="mscf", help="tracker to measure (default: %(default)s)")
-    bench.add_argument("--max-frames", type=_count, default=150, metavar="N", help="frames (default: %(default)s)")
+    bench.add_argument("--max-frames", type=_count, default=150, metavar="N", help="of each (default: %(default)s)")
+    bench.add_argument(
+        "--nano",
+        type=Path,
+        nargs=2,
+        metavar=("BACKBONE", "HEAD"),
+        help="beside OpenCV's tracker nano, by its ONNX files",
+    )
+    bench.add_argument("--profile", action="store_true", help="also the functions that take the time")
     bench.add_argument("--json", type=Path, metavar="OUT.json", help="write the figures there too")
     bench.set_defaults(run=_bench)
 
 
 def _bench(arguments: argparse.Namespace) -> int:
-    run_bench(open_source(arguments.source), arguments.preset, arguments.max_frames, sys.stdout, arguments.json)
+    options = BenchOptions(
+        arguments.preset,
+        arguments.max_frames,
+        Models(*(arguments.nano or (None, None))),
+        is_profiled=arguments.profile,
+        json=arguments.json,
+    )
+    run_bench([open_source(source) for source in arguments.source or [None]], options, sys.stdout)
     return 0
 
 

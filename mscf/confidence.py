@@ -41,20 +41,20 @@ def peak_to_sidelobe(response: Real) -> float:
     return (peak - float(sidelobe.mean())) / deviation if deviation > 0 else 0.0
 
 
-def confidence(response: Real) -> float:
+def confidence(peak: float, ratio: float) -> float:
     """Probability in 0..1 that the target is where the peak of a response is.
 
     Parameters
     ----------
-    response : (M, N) float32, not shifted or shifted.
+    peak : maximum of the response.
+    ratio : its `peak_to_sidelobe`.
 
     Returns
     -------
-    A number that rises with the peak-to-sidelobe ratio; 0 where there is no peak.
+    A number that rises with the ratio; 0 where there is no peak.
     """
-    if not float(response.max()) > LOWEST_PEAK:  # also where it is NaN
+    if not peak > LOWEST_PEAK:  # also where it is NaN
         return 0.0
-    ratio = peak_to_sidelobe(response)
     if not 0 < ratio < math.inf:  # an infinite peak is no target
         return 0.0
     return 1 / (1 + math.exp(-(BIAS + LOG_PSR * math.log(ratio))))

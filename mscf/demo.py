@@ -188,7 +188,8 @@ def _report(source: Source, options: DemoOptions, contestants: Sequence[_Contest
         truth = source.truth[: len(contestant.boxes)]
         text = f"{contestant.name}: {len(contestant.boxes)} frames"
         if contestant.update_ms:
-            text += f", {median(contestant.update_ms):.1f} ms an update (median)"
+            kernels = contestant.tracker.kernels.name
+            text += f", {median(contestant.update_ms):.1f} ms an update (median, {kernels} kernels)"
         if any(true is not None for true in truth):
             found = score(errors_of(contestant.boxes[: len(truth)], truth))
             text += f", precision at 20 px {found.precision:.3f}, AUC {found.auc:.3f}"

@@ -1,11 +1,14 @@
 """Regression targets on the feature grid; all circular, with their centre at index [0, 0]."""
 
 import math
+from typing import TypeVar
 
 import numpy as np
 
-from mscf.arrays import Real
+from mscf.arrays import Real, Spectrum
 from mscf.spectrum import circular_offsets
+
+_Map = TypeVar("_Map", Real, Spectrum)
 
 
 def gaussian_label(size_mn: tuple[int, int], *, sigma_cells: float) -> Real:
@@ -46,11 +49,11 @@ def pedestal(size_mn: tuple[int, int], arm_mn: tuple[float, float], *, centred: 
     return np.maximum(upright, lying)
 
 
-def ideal_label(gaussian: Real, pedestal_: Real, *, height: float, threat: float) -> Real:
-    """Ideal hybrid label Omega = y1 + height * (1 - threat) * y2: (M, N) float32 (paper Eq. 3).
+def ideal_label(gaussian: _Map, pedestal_: _Map, *, height: float, threat: float) -> _Map:
+    """Ideal hybrid label Omega = y1 + height * (1 - threat) * y2, of maps or of their spectra (paper Eq. 3).
 
     The paper writes y1 + (1 - theta * MTF) y2, gives no theta, and gives an eta = 0.044 that appears in no
     equation. With a pedestal of 1 the label would have no peak; as in the published code, eta is the height
     and theta is 1 (spec A2).
     """
-    return gaussian + np.float32(height * (1 - threat)) * pedestal_
+    return np.asarray(gaussian + np.float32(height * (1 - threat)) * pedestal_, gaussian.dtype)

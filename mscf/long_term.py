@@ -15,6 +15,7 @@ from mscf.config import TrackerConfig
 from mscf.errors import BoxError, ConfigError, FrameError, TrackerNotInitialisedError
 from mscf.frame import check_frame
 from mscf.geometry import Box
+from mscf.kernels import Kernels
 from mscf.search import RANKS, Looks, place_around
 from mscf.tracker import Snapshot, Tracker, TrackResult
 
@@ -128,8 +129,13 @@ class LongTermTracker:
     ['UNSURE', 'UNSURE', 'LOST']
     """
 
-    def __init__(self, config: TrackerConfig | None = None, policy: LongTermPolicy = LongTermPolicy()) -> None:
-        self._tracker = Tracker(config)
+    def __init__(
+        self,
+        config: TrackerConfig | None = None,
+        policy: LongTermPolicy = LongTermPolicy(),
+        kernels: Kernels | None = None,
+    ) -> None:
+        self._tracker = Tracker(config, kernels)
         self._policy = policy
         self._memory: Memory | None = None
 
@@ -149,7 +155,7 @@ class LongTermTracker:
             trusted=self._tracker.snapshot(),
             box=box,
             scale=1.0,
-            looks=Looks.of(frame, box),
+            looks=Looks.of(frame, box, self._tracker.kernels),
             candidate=box,
             searched=0,
             confirmed=0,

@@ -1,6 +1,7 @@
 """Mutation threat factor: how dangerous the highest sub-peak of a response map is (paper Eq. 1 and 2)."""
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -8,13 +9,17 @@ import numpy as np
 from mscf.arrays import Probe, Real, no_probe
 from mscf.config import TrackerConfig
 
+if TYPE_CHECKING:
+    from mscf.kernels import Kernels
+
 WINDOW_RADIUS_CELLS = 6
+HOLE_CELLS = 1.5  # around the main peak: of the 3 x 3 square
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
-def measure_threat(response: Real, cfg: TrackerConfig, *, probe: Probe = no_probe) -> float:
+def measure_threat(response: Real, cfg: TrackerConfig, kernels: "Kernels", *, probe: Probe = no_probe) -> float:
     """Mutation threat factor of a response map (M, N) by the configured rule."""
-    rule = threat_in_window if cfg.threat_rule == "window" else threat_of_peaks
+    rule = kernels.threat_in_window if cfg.threat_rule == "window" else threat_of_peaks
     return rule(response, nu=cfg.threat_nu, delta=cfg.threat_delta, probe=probe)
 
 
@@ -24,11 +29,11 @@ def distance_weight(distance_cells: Real, *, nu: float, delta: float) -> Real:
 
 
 @lru_cache(maxsize=8)
-def _radial_weight(size_mn: tuple[int, int], nu: float, delta: float, hole_cells: float) -> Real:
-    """Pi about the middle of a map, 0 up to and including `hole_cells` from it."""
+def radial_weight(size_mn: tuple[int, int], nu: float, delta: float) -> Real:
+    """Pi about the middle of a map, 0 up to and including `HOLE_CELLS` from it."""
     d_r, d_c = np.arange(size_mn[0]) - size_mn[0] // 2, np.arange(size_mn[1]) - size_mn[1] // 2
     distance = np.hypot(d_r[:, None], d_c[None, :]).astype(np.float32)
-    return np.where(distance > hole_cells, distance_weight(distance, nu=nu, delta=delta), np.float32(0))
+    return np.where(distance > HOLE_CELLS, distance_weight(distance, nu=nu, delta=delta), np.float32(0))
 
 
 def regional_maxima(values: Real) -> Real:
@@ -70,8 +75,8 @@ def threat_in_window(response: Real, *, nu: float, delta: float, probe: Probe = 
     maxima = regional_maxima(window)
     probe("threat_window", window)
     probe("threat_maxima", maxima)
-    weight = _radial_weight(window.shape, nu, delta, 1.5)  # its hole is the 3 x 3 one
-    return float(np.max(window * maxima * weight) / r_max)
+    weight = radial_weight(window.shape, nu, delta)
+    return float(np.max(np.where(maxima, window * weight, 0)) / r_max)
 
 
 def threat_of_peaks(response: Real, *, nu: float, delta: float, probe: Probe = no_probe) -> float:
@@ -91,5 +96,5 @@ def threat_of_peaks(response: Real, *, nu: float, delta: float, probe: Probe = n
     maxima = regional_maxima(np.pad(centred, 1, mode="wrap"))[1:-1, 1:-1]
     probe("threat_window", centred)
     probe("threat_maxima", maxima)
-    weight = _radial_weight((rows, cols), nu, delta, 1.5)
+    weight = radial_weight((rows, cols), nu, delta)
     return float(np.max(centred * maxima * weight) / r_max)

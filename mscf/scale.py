@@ -2,14 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
 from mscf.arrays import Image, Probe, Real, Real64, Spectrum, no_probe
 from mscf.config import TrackerConfig
-from mscf.features.fhog import CELL_PX, fhog
-from mscf.sampling import sample, sample_exact
+from mscf.features.fhog import CELL_PX
+from mscf.kernels import Kernels
+from mscf.sampling import sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,42 +65,59 @@ class ScaleFilter:
     den: Real  # (K//2 + 1,)
 
 
-def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan: ScalePlan) -> Real:
+def scale_features(frame: Image, pos_rc: tuple[float, float], scale: float, plan: ScalePlan, kernels: Kernels) -> Real:
     """Windowed FHOG features of the target at each relative scale: (K, F) float32, F = 31 * cells."""
-    sizes_hw = [(plan.base_hw[0] * factor, plan.base_hw[1] * factor) for factor in (scale * plan.factors).tolist()]
+    sizes_hw = np.multiply.outer(scale * plan.factors, plan.base_hw)  # (K, 2)
     if plan.config.sampling == "exact":
-        patches = np.stack([sample_exact(frame, pos_rc, size_hw, plan.model_hw) for size_hw in sizes_hw])
+        patches = kernels.sample_exact(frame, pos_rc, sizes_hw, plan.model_hw)
     else:
         center_rc = math.floor(pos_rc[0]), math.floor(pos_rc[1])
-        whole_hw = [(max(1, math.floor(h)), max(1, math.floor(w))) for h, w in sizes_hw]
+        whole_hw = [(max(1, math.floor(h)), max(1, math.floor(w))) for h, w in sizes_hw.tolist()]
         patches = np.stack([sample(frame, center_rc, size_hw, plan.model_hw) for size_hw in whole_hw])
     # patches: (K, h, w[, 3])
-    features = fhog(patches).reshape(len(patches), -1)  # (K, F)
+    features = kernels.fhog(patches).reshape(len(patches), -1)  # (K, F)
     features *= plan.window[:, None]
     return features
 
 
-def train_scale(features: Real, before: ScaleFilter | None, plan: ScalePlan) -> ScaleFilter:
-    """Learn `features` (K, F); `before` is None in the first frame."""
-    x_f = _dft(features)  # (K//2 + 1, F)
-    num_f = plan.label_f[:, None] * x_f.conj()
-    den = np.einsum("kf,kf->k", x_f.real, x_f.real) + np.einsum("kf,kf->k", x_f.imag, x_f.imag)
+def train_scale(
+    x_f: Spectrum, before: ScaleFilter | None, plan: ScalePlan, kernels: Kernels, growth: float = 1.0
+) -> ScaleFilter:
+    """Learn a sample's spectrum.
+
+    Parameters
+    ----------
+    x_f : (K//2 + 1, F) `scale_dft` of the features.
+    before : None in the first frame.
+    growth : size of the target over the size about which the sample was cut. Not in the published code, where the
+        sample is cut again: a label that is moved by as many steps trains the same filter but for the window.
+    """
+    label_f = plan.label_f
+    if growth != 1:
+        steps, count = math.log(growth) / math.log(plan.config.scale_step), len(plan.factors)
+        # larger scales come first: the label moves down
+        label_f = (label_f * np.exp(2j * np.pi / count * steps * np.arange(len(label_f)))).astype(np.complex64)
     if before is None:
-        return ScaleFilter(num_f, den)
-    rate = np.float32(plan.config.scale_learning_rate)
-    return ScaleFilter((1 - rate) * before.num_f + rate * num_f, (1 - rate) * before.den + rate * den)
+        before, rate = ScaleFilter(np.zeros_like(x_f), np.zeros(len(label_f), np.float32)), 1.0
+    else:
+        rate = plan.config.scale_learning_rate
+    return ScaleFilter(*kernels.scale_learn(before.num_f, before.den, x_f, label_f, rate))
 
 
 def estimate_scale(
-    features: Real, scale: float, scale_filter: ScaleFilter, plan: ScalePlan, probe: Probe = no_probe
+    x_f: Spectrum,
+    scale: float,
+    scale_filter: ScaleFilter,
+    plan: ScalePlan,
+    kernels: Kernels,
+    probe: Probe = no_probe,
 ) -> float:
     """Scale factor of the relative scale with the highest response, kept within the plan's limits.
 
     Not in the published code, `scale_interpolation`: the scale at the top of the parabola through that response and its
     two neighbours. Else the size is off by up to half a step, and jumps.
     """
-    x_f = _dft(features)
-    total_f = np.einsum("kf,kf->k", scale_filter.num_f, x_f)
+    total_f = kernels.scale_match(scale_filter.num_f, x_f)
     response = np.fft.irfft(total_f / (scale_filter.den + np.float32(plan.config.scale_floor)), n=len(plan.factors))
     probe("scale_response", response)
     index = int(np.argmax(response))
@@ -111,8 +128,3 @@ def estimate_scale(
         if bend < 0:  # 0 where all three are equal
             best *= plan.config.scale_step ** (0.5 * (right - left) / bend)
     return min(max(best, plan.limits[0]), plan.limits[1])
-
-
-def _dft(features: Real) -> Spectrum:
-    """Half spectrum over the scales: (K, F) -> (K//2 + 1, F)."""
-    return cast("Spectrum", np.fft.rfft(features, axis=0))

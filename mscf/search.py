@@ -1,17 +1,15 @@
 """Where to look for a lost target, and what it looked like."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import cv2
 import numpy as np
 
 from mscf.arrays import Image, Real64
-from mscf.features.fhog import CELL_PX
-from mscf.features.stack import feature_stack
 from mscf.geometry import Box
-from mscf.sampling import sample_exact
+from mscf.kernels import Kernels
 
 LOOKS_SIDE_PX = 32  # of the resized patch whose features are compared: 8 x 8 cells
 LOOKS_MARGIN = 1.5  # side of that patch over the box's: the outline tells more than the inside, as measured
@@ -29,25 +27,26 @@ class Looks:
     features: Real64  # (F,) running mean of features
     picture: Image  # (h, w[, 3]) the last one, small
     shrink: float  # side of that picture over that of the box
+    kernels: Kernels
 
     @classmethod
-    def of(cls, frame: Image, box: Box) -> Self:
+    def of(cls, frame: Image, box: Box, kernels: Kernels) -> Self:
         """What is in `box` of `frame`."""
         rows, cols = frame.shape[:2]
         pos_rc, (h, w) = box.to_pos_size()
         shrink = min(1.0, PICTURE_PX / math.sqrt(h * w), math.sqrt(FRAME_PX2 / (rows * cols)))
         picture_hw = max(3, round(h * shrink)), max(3, round(w * shrink))
-        picture = sample_exact(frame, pos_rc, (h, w), picture_hw)
-        return cls(outline(frame, box), picture.copy(), shrink)
+        picture = kernels.sample_exact(frame, pos_rc, np.array([[h, w]]), picture_hw)[0]
+        return cls(outline(frame, box, kernels), picture, shrink, kernels)
 
     def after(self, frame: Image, box: Box) -> "Looks":
         """Looks with one more trusted frame."""
-        last = Looks.of(frame, box)
-        return Looks(self.features + LOOKS_RATE * (last.features - self.features), last.picture, last.shrink)
+        last = Looks.of(frame, box, self.kernels)
+        return replace(last, features=self.features + LOOKS_RATE * (last.features - self.features))
 
     def similarity(self, frame: Image, box: Box) -> float:
         """Cosine of the features in `box` and the remembered ones, -1..1; 0 where one of them is nothing."""
-        features = outline(frame, box)
+        features = outline(frame, box, self.kernels)
         lengths = float(np.linalg.norm(features) * np.linalg.norm(self.features))
         return float(features @ self.features) / lengths if lengths > 0 else 0.0
 
@@ -61,7 +60,8 @@ class Looks:
         small_hw = round(rows * self.shrink), round(cols * self.shrink)
         if small_hw[0] <= h or small_hw[1] <= w:
             return None
-        small = sample_exact(frame, ((rows - 1) / 2, (cols - 1) / 2), (rows, cols), small_hw)
+        middle_rc, whole_hw = ((rows - 1) / 2, (cols - 1) / 2), np.array([[rows, cols]], np.float64)
+        small = self.kernels.sample_exact(frame, middle_rc, whole_hw, small_hw)[0]
         match = np.nan_to_num(cv2.matchTemplate(small, self.picture, cv2.TM_CCOEFF_NORMED), nan=-1.0, posinf=-1.0)
         row, col = np.unravel_index(int(np.argmax(match)), match.shape)
         for _ in range(rank):
@@ -70,11 +70,12 @@ class Looks:
         return (float(col) + w / 2) * cols / small_hw[1], (float(row) + h / 2) * rows / small_hw[0]
 
 
-def outline(frame: Image, box: Box) -> Real64:
+def outline(frame: Image, box: Box, kernels: Kernels) -> Real64:
     """Gray and FHOG features around a box, of zero mean a channel and length 1, or 0 where nothing is seen: (F,)."""
     pos_rc, (h, w) = box.to_pos_size()
-    patch = sample_exact(frame, pos_rc, (h * LOOKS_MARGIN, w * LOOKS_MARGIN), (LOOKS_SIDE_PX, LOOKS_SIDE_PX))
-    features = feature_stack(patch, CELL_PX, None).astype(np.float64)
+    sizes_hw, out_hw = np.array([[h * LOOKS_MARGIN, w * LOOKS_MARGIN]]), (LOOKS_SIDE_PX, LOOKS_SIDE_PX)
+    patch = kernels.sample_exact(frame, pos_rc, sizes_hw, out_hw)[0]
+    features = kernels.feature_stack(patch, None).astype(np.float64)
     features -= features.mean(axis=(1, 2), keepdims=True)
     length = float(np.linalg.norm(features))
     return features.ravel() / length if length > 0 else features.ravel()

@@ -11,16 +11,16 @@ from mscf.confidence import confidence
 from mscf.config import TrackerConfig
 from mscf.errors import TrackerNotInitialisedError
 from mscf.features.fhog import CELL_PX
-from mscf.features.stack import feature_stack
-from mscf.filter import correlate, learn
+from mscf.filter import Model, learn
 from mscf.frame import check_box, check_frame, check_same_shape, is_gray, single_channel
 from mscf.geometry import Box, nearest_pixel, round_half_away
+from mscf.kernels import Kernels
+from mscf.kernels.choice import chosen_kernels
 from mscf.labels import ideal_label
 from mscf.mutation import measure_threat
 from mscf.plan import Plan
-from mscf.sampling import sample, sample_exact
+from mscf.sampling import sample
 from mscf.scale import ScaleFilter, estimate_scale, scale_features, train_scale
-from mscf.spectrum import dft, inverse_dft, locate_peak, shifted
 
 PEAK_MEAN_RATE = 0.1  # of the running mean of peaks, per frame that shows the target
 
@@ -69,6 +69,10 @@ class Snapshot:
 class Tracker:
     """Mutation sensitive correlation filter (ICRA 2021).
 
+    Parameters
+    ----------
+    kernels : what it computes with; None: `chosen_kernels`.
+
     Examples
     --------
     >>> import numpy as np
@@ -82,14 +86,20 @@ class Tracker:
     (True, True)
     """
 
-    def __init__(self, config: TrackerConfig | None = None) -> None:
+    def __init__(self, config: TrackerConfig | None = None, kernels: Kernels | None = None) -> None:
         self._config = TrackerConfig() if config is None else config
+        self._kernels = chosen_kernels() if kernels is None else kernels
         self._started: Snapshot | None = None
 
     @property
     def config(self) -> TrackerConfig:
         """What the tracker was made with."""
         return self._config
+
+    @property
+    def kernels(self) -> Kernels:
+        """What it computes with."""
+        return self._kernels
 
     def init(self, frame: Image, box: Box, *, probe: Probe = no_probe) -> None:
         """Learn the target in `box` of `frame`; may be called again for another target.
@@ -111,21 +121,28 @@ class Tracker:
         """
         check_frame(frame)
         check_box(box, frame)
-        plan = Plan.make(self._config, frame.shape, box, is_gray=is_gray(frame))
+        plan = Plan.make(self._config, frame.shape, box, is_gray=is_gray(frame), kernels=self._kernels)
         frame = single_channel(frame) if plan.is_gray else frame
         pos_rc, scale = box.to_pos_size()[0], plan.first_scale
 
         model_f = sample_features(frame, pos_rc, scale, plan, probe=probe, stage="train")
         probe("model_f", model_f)
         height = self._config.pedestal_height if self._config.pedestal_at_start else 0.0
-        ideal_f = dft(ideal_label(plan.gaussian, plan.pedestal, height=height, threat=0.0))
+        ideal_f = ideal_label(plan.gaussian_f, plan.pedestal_f, height=height, threat=0.0)
         probe("ideal_label_f", ideal_f)
         learned = learn(
-            model_f, ideal_f, plan.gaussian_f, threat=0.0, support=plan.support, cfg=self._config, probe=probe
+            Model.of(model_f, self._kernels),
+            ideal_f,
+            plan.gaussian_f,
+            threat=0.0,
+            support=plan.support,
+            cfg=self._config,
+            kernels=self._kernels,
+            probe=probe,
         )
         probe("label_f", learned.label_f)
         probe("filter_f", learned.g_f)
-        features = scale_features(frame, pos_rc, scale, plan.scale)
+        features = scale_features(frame, pos_rc, scale, plan.scale, self._kernels)
         probe("scale_features_train", features)
         state = State(
             frame_index=0,
@@ -134,7 +151,7 @@ class Tracker:
             model_f=model_f,
             filter_f=learned.g_f,
             label_f=learned.label_f,
-            scale_filter=train_scale(features, None, plan.scale),
+            scale_filter=train_scale(self._kernels.scale_dft(features), None, plan.scale, self._kernels),
             peak_mean=math.nan,
             held=0,
         )
@@ -162,43 +179,50 @@ class Tracker:
         After an exception the tracker is as it was before.
         """
         plan, state = self._current("update")
-        frame = accepted(frame, plan)
+        frame, kernels = accepted(frame, plan), plan.kernels
 
         # LOCALISATION (paper Eq. 14)
         sample_f = sample_features(frame, state.pos_rc, state.scale, plan, probe=probe, stage="detect")
         probe("sample_f", sample_f)
-        response = inverse_dft(correlate(state.filter_f, sample_f), plan.grid_mn)  # (M, N)
+        response_f = kernels.correlate(state.filter_f, sample_f)  # (M, N')
+        response = kernels.inverse_dft(response_f, plan.grid_mn)  # (M, N)
         probe("response", response)
         peak = float(response.max())
         # SELECTION (paper Eq. 1, 2)
-        threat = measure_threat(response, self._config, probe=probe)
+        threat = measure_threat(response, self._config, kernels, probe=probe)
         probe("threat", np.array(threat))
-        sure = confidence(response)
+        sure = confidence(peak, kernels.peak_to_sidelobe(response))
         probe("confidence", np.array(sure))
 
         if is_hidden(peak, state, self._config):
             after = replace(state, frame_index=state.frame_index + 1, held=state.held + 1)
             result = result_of(after, peak, threat, sure, plan)
         else:
-            offset_rc = locate_peak(response)  # cells
+            offset_rc = kernels.locate_peak(response, response_f)  # cells
             pos_rc = displaced(state, offset_rc, self._config)
             probe("pos_rc", np.array(pos_rc))
             # SCALE (spec B8)
-            scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale)
+            scale_sample = scale_features(frame, pos_rc, state.scale, plan.scale, kernels)
             probe("scale_features_detect", scale_sample)
-            scale = estimate_scale(scale_sample, state.scale, state.scale_filter, plan.scale, probe)
+            scale_f = kernels.scale_dft(scale_sample)
+            scale = estimate_scale(scale_f, state.scale, state.scale_filter, plan.scale, kernels, probe)
             after = seen(state, peak, pos_rc, scale, self._config)
             result = result_of(after, peak, threat, sure, plan)
             # TRAINING (paper Eq. 3-13)
             is_learned = learn(result)
             if is_learned and after.frame_index % self._config.train_interval == 0:
-                train_f = training_sample(frame, sample_f, offset_rc, state, after, plan, probe)
-                after = train(after, train_f, threat, plan, probe)
+                train_f, train_offset_rc = training_sample(frame, sample_f, offset_rc, state, after, plan, probe)
+                after = train(after, train_f, train_offset_rc, threat, plan, probe)
             if is_learned and after.frame_index % self._config.scale_train_interval == 0:
-                if scale != state.scale:  # else the sample is the same
-                    scale_sample = scale_features(frame, pos_rc, scale, plan.scale)
-                probe("scale_features_train", scale_sample)
-                after = replace(after, scale_filter=train_scale(scale_sample, state.scale_filter, plan.scale))
+                growth = scale / state.scale
+                if is_grown_little(growth, self._config):
+                    probe("scale_features_train", scale_sample)
+                else:
+                    scale_sample, growth = scale_features(frame, pos_rc, scale, plan.scale, kernels), 1.0
+                    probe("scale_features_train", scale_sample)
+                    scale_f = kernels.scale_dft(scale_sample)
+                scale_filter = train_scale(scale_f, state.scale_filter, plan.scale, kernels, growth)
+                after = replace(after, scale_filter=scale_filter)
                 probe("scale_numerator_f", after.scale_filter.num_f)
                 probe("scale_denominator", after.scale_filter.den)
 
@@ -237,14 +261,16 @@ class Tracker:
             As `update`.
         """
         plan, state = self._current("look")
-        frame = accepted(frame, plan)
+        frame, kernels = accepted(frame, plan), plan.kernels
         pos_rc = center_xy[1] - 0.5, center_xy[0] - 0.5
         there = replace(state, pos_rc=pos_rc, scale=state.scale if scale is None else scale * plan.first_scale)
         sample_f = sample_features(frame, there.pos_rc, there.scale, plan, probe=no_probe, stage="detect")
-        response = inverse_dft(correlate(there.filter_f, sample_f), plan.grid_mn)  # (M, N)
-        threat = measure_threat(response, self._config)
-        found = replace(there, pos_rc=displaced(there, locate_peak(response), self._config), held=0)
-        return result_of(found, float(response.max()), threat, confidence(response), plan)
+        response_f = kernels.correlate(there.filter_f, sample_f)  # (M, N')
+        response = kernels.inverse_dft(response_f, plan.grid_mn)  # (M, N)
+        peak, threat = float(response.max()), measure_threat(response, self._config, kernels)
+        offset_rc = kernels.locate_peak(response, response_f)
+        found = replace(there, pos_rc=displaced(there, offset_rc, self._config), held=0)
+        return result_of(found, peak, threat, confidence(peak, kernels.peak_to_sidelobe(response)), plan)
 
     def resume(self, result: TrackResult) -> None:
         """Go on from the place and size of `result`, of `look`, with what is known now.
@@ -285,14 +311,14 @@ def sample_features(
     out_px = plan.config.sample_side_px
     side_px = out_px * scale
     if plan.config.sampling == "exact":
-        patch = sample_exact(frame, pos_rc, (side_px, side_px), (out_px, out_px))
+        patch = plan.kernels.sample_exact(frame, pos_rc, np.array([[side_px, side_px]]), (out_px, out_px))[0]
     else:
         whole_px = max(1, round_half_away(side_px))
         patch = sample(frame, nearest_pixel(pos_rc), (whole_px, whole_px), (out_px, out_px))
     probe(f"patch_{stage}", patch)
-    features = feature_stack(patch, CELL_PX, plan.color_table)  # (C, M, N)
+    features = plan.kernels.feature_stack(patch, plan.color_table)  # (C, M, N)
     probe(f"features_{stage}", features)
-    return dft(features * plan.window)
+    return plan.kernels.windowed_dft(features, plan.window)
 
 
 def displaced(state: State, offset_rc: tuple[float, float], cfg: TrackerConfig) -> tuple[float, float]:
@@ -343,32 +369,40 @@ def training_sample(
     after: State,
     plan: Plan,
     probe: Probe,
-) -> Spectrum:
-    """Sample around the target's new place: (C, M, N').
+) -> tuple[Spectrum, tuple[float, float]]:
+    """Sample around the target's new place, (C, M, N'), and by how many cells the target is off its middle.
 
     Where neither the patch nor its scale has changed it is the sample of the detection. Not in the paper, for
-    speed: after a small change it is that sample shifted by a linear phase. The Hann window is then off the target by
-    the displacement, and the patch of another scale by less than half a cell at its border.
+    speed: after a small change it is that sample, to be shifted by a linear phase. The Hann window is then off the
+    target by the displacement, and the patch of another scale by less than half a cell at its border.
     """
-    cfg, ratio = plan.config, after.scale / before.scale
+    cfg = plan.config
     is_near = cfg.shift_limit_cells > 0 and max(map(abs, offset_rc)) <= cfg.shift_limit_cells
-    if is_near and 1 / cfg.shift_limit_ratio <= ratio <= cfg.shift_limit_ratio:
-        return shifted(sample_f, offset_rc, plan.grid_mn)
+    if is_near and is_grown_little(after.scale / before.scale, cfg):
+        return sample_f, offset_rc
     is_same_patch = cfg.sampling == "pixels" and nearest_pixel(after.pos_rc) == nearest_pixel(before.pos_rc)
     if is_same_patch and after.scale == before.scale:
-        return sample_f
-    return sample_features(frame, after.pos_rc, after.scale, plan, probe=probe, stage="train")
+        return sample_f, (0.0, 0.0)
+    return sample_features(frame, after.pos_rc, after.scale, plan, probe=probe, stage="train"), (0.0, 0.0)
 
 
-def train(state: State, sample_f: Spectrum, threat: float, plan: Plan, probe: Probe) -> State:
-    """Learn a sample (C, M, N') of the target."""
-    cfg = plan.config
-    rate = np.float32(cfg.learning_rate)
-    model_f = (1 - rate) * state.model_f + rate * sample_f
-    probe("model_f", model_f)
-    ideal_f = dft(ideal_label(plan.gaussian, plan.pedestal, height=cfg.pedestal_height, threat=threat))
+def is_grown_little(growth: float, cfg: TrackerConfig) -> bool:
+    """Whether a sample that was cut for another size will do: `growth` is the ratio of the sizes."""
+    return 1 / cfg.shift_limit_ratio <= growth <= cfg.shift_limit_ratio
+
+
+def train(
+    state: State, sample_f: Spectrum, offset_rc: tuple[float, float], threat: float, plan: Plan, probe: Probe
+) -> State:
+    """Learn a sample (C, M, N') that has the target `offset_rc` cells off its middle."""
+    cfg, kernels = plan.config, plan.kernels
+    model = Model(*kernels.blend(state.model_f, sample_f, cfg.learning_rate, offset_rc, plan.grid_mn))
+    probe("model_f", model.m_f)
+    ideal_f = ideal_label(plan.gaussian_f, plan.pedestal_f, height=cfg.pedestal_height, threat=threat)
     probe("ideal_label_f", ideal_f)
-    learned = learn(model_f, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, probe=probe)
+    learned = learn(
+        model, ideal_f, state.label_f, threat=threat, support=plan.support, cfg=cfg, kernels=kernels, probe=probe
+    )
     probe("label_f", learned.label_f)
     probe("filter_f", learned.g_f)
-    return replace(state, model_f=model_f, filter_f=learned.g_f, label_f=learned.label_f)
+    return replace(state, model_f=model.m_f, filter_f=learned.g_f, label_f=learned.label_f)

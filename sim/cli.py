@@ -56,6 +56,7 @@ class _Task:
     external: str | None
     arms: bool
     duration_s: float | None
+    frame_hw: tuple[int, int] | None
     has_video: bool
     has_record: bool
 
@@ -75,6 +76,9 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
     )
     sim.add_argument("--out", type=Path, default=Path("out/sim"), metavar="DIR", help="default: %(default)s")
     sim.add_argument("--duration", type=float, metavar="S", help="in place of the scenario's")
+    sim.add_argument(
+        "--frames", type=_size_hw, metavar="WxH", help="size of the camera's frames (default: the scenario's, 640x480)"
+    )
     sim.add_argument("--no-video", action="store_true", help="no film, for measuring: encoding takes its share")
     sim.add_argument("--no-record", action="store_true", help="for measuring: with --realtime, without a flight record")
     sim.add_argument("--seed", type=int, default=0, help="of the scenery, the gusts and the noise")
@@ -90,6 +94,20 @@ def add_command(commands: "argparse._SubParsersAction[Any]") -> None:
         help="with --external: arm, take off, select flight modes and land by command; else somebody else does",
     )
     sim.set_defaults(run=_run)
+
+
+def _size_hw(text: str) -> tuple[int, int]:
+    """Rows and columns of "640x480".
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is nothing like that, or a size that no camera has.
+    """
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 64 <= int(width) <= 3840 and 48 <= int(height) <= 2160):
+        raise argparse.ArgumentTypeError(f"{text!r} must be WIDTHxHEIGHT, from 64x48 to 3840x2160, as in 1280x720")
+    return int(height), int(width)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -112,6 +130,7 @@ def _run(arguments: argparse.Namespace) -> int:
             arguments.external,
             arguments.arm,
             arguments.duration,
+            arguments.frames,
             not arguments.no_video,
             not arguments.no_record,
         )
@@ -190,6 +209,7 @@ def _fly(task: _Task) -> Run:
     scenario = SCENARIOS[task.scenario]
     if task.duration_s is not None:
         scenario = replace(scenario, duration_s=task.duration_s)
+    scenario = replace(scenario, frame_hw=task.frame_hw)
     with ExitStack() as stack:
         external = stack.enter_context(closing(_external(task))) if task.external is not None else None
         if external is not None:
@@ -218,7 +238,7 @@ def _fly(task: _Task) -> Run:
 @contextmanager
 def _filmed(task: _Task, scenario: Scenario, folder: Path) -> "Iterator[Watcher]":
     """What makes the film of a flight."""
-    place = stage(scenario.stage, 7 + task.seed)
+    place = scenario.place(task.seed)
     radius_m = scenario.config(place).limits.radius_m
     film = Film(place, scenario.name, task.autopilot, place.camera, scenario.wind, radius_m=radius_m)
     with VideoFile(folder / FILM, STEPS_PER_S) as video:
@@ -254,7 +274,7 @@ def _made(
             folder=folder,
             record=RecordConfig(enabled=task.has_record),
         )
-    config = scenario.config(stage(scenario.stage, 7 + task.seed))
+    config = scenario.config(scenario.place(task.seed))
     with closing(BoundedRecord(folder, config)) as record:
         try:
             trace, verdicts = fly(

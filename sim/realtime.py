@@ -30,7 +30,7 @@ from sim.loop import Faults, Watcher, gimbal_of, world_time_s
 from sim.report import LOG, RECORDS
 from sim.scenarios import AUTOPILOTS, WAIT_S, Operator, Scenario, Verdict
 from sim.server import CameraServer, RealTime, Shot, open_end
-from sim.stages import Stage, stage
+from sim.stages import Stage
 from sim.trace import Moment, Trace
 from sim.usage import Usage
 
@@ -362,7 +362,7 @@ def fly_in_real_time(
         be short.
     record : what the application keeps; None: as the scenario's configuration says.
     """
-    place = stage(scenario.stage, 7 + seed)
+    place = scenario.place(seed)
     fake = fake_autopilot(scenario, place, autopilot, seed)
     with tempfile.TemporaryDirectory() as temporary:
         personality, records = AUTOPILOTS[autopilot], folder / RECORDS
@@ -394,7 +394,7 @@ def fly_external(
     LinkLostError
         If the autopilot does not take off.
     """
-    place = stage(scenario.stage, 7 + seed)
+    place = scenario.place(seed)
     height_m = -place.start.pos_ned_m[2]
     try:
         if autopilot.is_ours:

@@ -146,6 +146,15 @@ class Scenario:
     engage_s: float = ENGAGE_S  # from when on the operator wants to engage
     confirms: bool = False  # the operator confirms a target that was found again late
     engages: bool = True
+    frame_hw: tuple[int, int] | None = None  # of the camera, which sees as wide as the stage's; None: the stage's own
+
+    def place(self, seed: int) -> Stage:
+        """Where it is flown; `seed` scatters what is of no account."""
+        place = stage(self.stage, 7 + seed)
+        if self.frame_hw is None:
+            return place
+        focal_px = place.camera.focal_px * self.frame_hw[1] / place.camera.size_hw[1]
+        return replace(place, camera=replace(place.camera, size_hw=self.frame_hw, focal_px=focal_px))
 
     @property
     def moves_sticks(self) -> bool:
@@ -683,7 +692,7 @@ def fly(
     recorder : is given every step of the application.
     farewell : is given the time of its last messages, and them.
     """
-    place = stage(scenario.stage, 7 + seed)
+    place = scenario.place(seed)
     loop = Loop(
         place,
         AUTOPILOTS[autopilot],

@@ -4,11 +4,16 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
 from mover import write_sequence
+
+from mscf.errors import ConfigError
+from mscf.kernels import Kernels, KernelsName
+from mscf.kernels.choice import kernels_named
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
@@ -45,6 +50,25 @@ def sequences_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no sequences: neither $MSCF_SEQUENCES nor {SHARED / 'sequences'} is there")
     return folder
+
+
+def kernels_or_skip(name: KernelsName) -> Kernels:
+    try:
+        return kernels_named(name)
+    except ConfigError as error:
+        pytest.skip(f"the compiled kernels are not tested: {error}")
+
+
+@pytest.fixture(params=get_args(KernelsName))
+def kernels(request: pytest.FixtureRequest) -> Kernels:
+    """Each form of the numeric steps in turn."""
+    return kernels_or_skip(request.param)
+
+
+@pytest.fixture(scope="session")
+def native() -> Kernels:
+    """The compiled kernels, to be compared with those of NumPy."""
+    return kernels_or_skip("native")
 
 
 @pytest.fixture

@@ -36,6 +36,7 @@ from mscf.evaluation.peers import NO_MODELS, BoxTracker, Models, first_line, tra
 from mscf.evaluation.protocol import TRE_STARTS, Start, starts
 from mscf.evaluation.record import RUNS, Record, Run, read_record, write_record
 from mscf.geometry import Box
+from mscf.kernels.choice import chosen_kernels
 from mscf.whole_file import write_whole
 
 EVALUATION = "evaluation.json"  # what an evaluation says of itself
@@ -125,6 +126,7 @@ def _about(dataset: Dataset, names: tuple[str, ...], options: EvaluationOptions)
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
+        "kernels": chosen_kernels().name,
         "machine": platform.machine(),
         "processors": os.cpu_count(),
         "jobs": options.jobs,

@@ -22,7 +22,7 @@ _SPAN = 2 * _REACH + 1
 
 
 @lru_cache(maxsize=1)
-def _orientation_bins() -> npt.NDArray[np.uint8]:
+def orientation_bins() -> npt.NDArray[np.uint8]:
     """Nearest of 18 directions for each pair of differences, at (dy + 510) * 1021 + dx + 510.
 
     The published code looks angles up by their cosine, cut after the fourth digit. That moves the border
@@ -126,7 +126,7 @@ def gradient(patches: Image) -> tuple[npt.NDArray[np.uint8], Real]:
         cv2.copyTo(dx[plane].reshape(shape), is_stronger, dx_best)
         cv2.copyTo(dy[plane].reshape(shape), is_stronger, dy_best)
     code = dy_best.astype(np.int32) * _SPAN + dx_best + (_REACH * _SPAN + _REACH)
-    return _orientation_bins().take(code.reshape(batch, rows, cols)), np.sqrt(strongest)
+    return orientation_bins().take(code.reshape(batch, rows, cols)), np.sqrt(strongest)
 
 
 def normalise(cells: Real) -> Real:

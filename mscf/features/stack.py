@@ -4,11 +4,11 @@ import numpy as np
 
 from mscf.arrays import Image, Real
 from mscf.features.color_names import color_names
-from mscf.features.fhog import fhog
+from mscf.features.fhog import CELL_PX, fhog
 from mscf.features.gray import gray
 
 
-def feature_stack(patch: Image, cell_px: int, table: Real | None) -> Real:
+def feature_stack(patch: Image, table: Real | None) -> Real:
     """Gray, 31 FHOG channels and, for a colour patch, 10 colour names, in this order.
 
     Parameters
@@ -18,9 +18,9 @@ def feature_stack(patch: Image, cell_px: int, table: Real | None) -> Real:
 
     Returns
     -------
-    (42, M, N) or, without colour names, (32, M, N) float32; M = H // cell_px, not windowed.
+    (42, M, N) or, without colour names, (32, M, N) float32; M = H // 4, not windowed.
     """
-    channels = [gray(patch, cell_px)[None], fhog(patch[None])[0]]
+    channels = [gray(patch, CELL_PX)[None], fhog(patch[None])[0]]
     if table is not None:
-        channels.append(color_names(patch, cell_px, table))
+        channels.append(color_names(patch, CELL_PX, table))
     return np.concatenate(channels)

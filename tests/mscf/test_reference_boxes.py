@@ -8,6 +8,7 @@ import pytest
 from mscf import Tracker, TrackerConfig
 from mscf.evaluation.datasets import read_sequence
 from mscf.geometry import round_half_away
+from mscf.kernels import Kernels
 
 
 # frames to compare (None: all), and how many of them may differ, by 1 px
@@ -22,14 +23,14 @@ from mscf.geometry import round_half_away
     ],
 )
 def test_reports_the_published_boxes(
-    reference_dir: Path, sequences_dir: Path, name: str, frames: int | None, allowed: int
+    kernels: Kernels, reference_dir: Path, sequences_dir: Path, name: str, frames: int | None, allowed: int
 ) -> None:
     theirs = np.loadtxt(reference_dir / "boxes" / f"{name}.txt", delimiter=",")[:frames]
     sequence = read_sequence(sequences_dir / name)
     box = sequence.truth[0]
     assert box is not None
     table = reference_dir / "color_names_reference.npz"
-    tracker = Tracker(TrackerConfig.preset("reference", color_table=table))
+    tracker = Tracker(TrackerConfig.preset("reference", color_table=table), kernels)
     tracker.init(sequence.read(0), box)
     boxes = [box] + [tracker.update(sequence.read(index)).box for index in range(1, len(theirs))]
     ours = np.array([[round_half_away(value) for value in box.to_one_based()] for box in boxes])

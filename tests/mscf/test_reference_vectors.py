@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 
 from mscf import Box, TrackerConfig
-from mscf.features.color_names import color_names, load_table
-from mscf.features.fhog import fhog
-from mscf.features.gray import gray
-from mscf.filter import FilterState, Model, correlate, learn, restrict, solve_g
+from mscf.features.color_names import load_table
+from mscf.filter import FilterState, Model, learn, restrict, solve_g
+from mscf.kernels import Kernels
 from mscf.labels import ideal_label
 from mscf.mutation import threat_in_window
 from mscf.plan import Plan
 from mscf.scale import ScaleFilter, estimate_scale, train_scale
-from mscf.spectrum import dft, inverse_dft, locate_peak
+from mscf.spectrum import dft
 
 FEATURES = 2e-4
 SPECTRA = 1e-4
@@ -55,10 +54,10 @@ def before(reference_dir: Path, sequence: str, frame: int) -> Dump:
 
 
 @pytest.fixture
-def plan(config: TrackerConfig, reference_dir: Path, sequence: str) -> Plan:
+def plan(kernels: Kernels, config: TrackerConfig, reference_dir: Path, sequence: str) -> Plan:
     with np.load(reference_dir / "vectors" / f"{sequence}_f1.npz") as first:
         box = Box.from_one_based(*first["rect"].tolist())
-    return Plan.make(config, (*FRAME_HW[sequence], 3), box, is_gray=False)
+    return Plan.make(config, (*FRAME_HW[sequence], 3), box, is_gray=False, kernels=kernels)
 
 
 def assert_close(ours: Any, theirs: Any, share: float) -> None:
@@ -87,24 +86,27 @@ def test_geometry_windows_and_labels_are_those_of_the_published_code(dump: Dump,
 
 @pytest.mark.parametrize("stage", ["det", "train"])
 @pytest.mark.parametrize(("sequence", "frame"), LATER)
-def test_features_of_a_patch_are_those_of_the_published_code(dump: Dump, table_path: Path, stage: str) -> None:
+def test_features_of_a_patch_are_those_of_the_published_code(
+    kernels: Kernels, dump: Dump, table_path: Path, stage: str
+) -> None:
     patch = np.ascontiguousarray(dump[f"patch_{stage}"][..., ::-1])  # RGB there, BGR here
-    np.testing.assert_allclose(gray(patch, 4), dump[f"gray_{stage}"].squeeze(), atol=FEATURES)
-    np.testing.assert_allclose(fhog(patch[None])[0], channel_first(dump[f"hog_{stage}"]), atol=FEATURES)
-    names = color_names(patch, 4, load_table(table_path))
-    np.testing.assert_allclose(names, channel_first(dump[f"cn_{stage}"]), atol=FEATURES)
+    features = kernels.feature_stack(patch, load_table(table_path))
+    np.testing.assert_allclose(features[0], dump[f"gray_{stage}"].squeeze(), atol=FEATURES)
+    np.testing.assert_allclose(features[1:32], channel_first(dump[f"hog_{stage}"]), atol=FEATURES)
+    np.testing.assert_allclose(features[32:], channel_first(dump[f"cn_{stage}"]), atol=FEATURES)
 
 
 @pytest.mark.parametrize(("sequence", "frame"), FIRST + LATER)
 def test_training_gives_the_published_filter_and_label(dump: Dump, plan: Plan, config: TrackerConfig) -> None:
     seen: Dump = {}
     learned = learn(
-        channel_first(dump["model_xf_half"]),
+        Model.of(channel_first(dump["model_xf_half"]), plan.kernels),
         dump["omega_f"][:, :26].astype(np.complex64),
         dump["rp_f"][:, :26].astype(np.complex64),
         threat=dump["tau"].item(),
         support=plan.support,
         cfg=config,
+        kernels=plan.kernels,
         probe=seen.__setitem__,
     )
     assert_close(seen["h_stage1"], channel_first(dump["h_stage1"]), SPECTRA)
@@ -114,12 +116,12 @@ def test_training_gives_the_published_filter_and_label(dump: Dump, plan: Plan, c
 
 @pytest.mark.parametrize(("sequence", "frame"), FIRST + LATER)
 def test_the_restricted_filter_is_the_published_one(dump: Dump, plan: Plan, config: TrackerConfig) -> None:
-    model = Model.of(channel_first(dump["model_xf_half"]))
+    model = Model.of(channel_first(dump["model_xf_half"]), plan.kernels)
     state = FilterState.start(model, plan.support, mu=config.penalty)
     for label in ("omega_f", "omega_f", "r_f", "r_f"):
-        a_f, _ = solve_g(state, model, dump[label][:, :26].astype(np.complex64), 2500)
-        state = restrict(state, a_f, model, plan.support, config)
-    assert_close(state.h_sp, channel_first(dump["h_final"]), SPECTRA)
+        a_f, _ = solve_g(state, model, dump[label][:, :26].astype(np.complex64), 2500, plan.kernels)
+        state = restrict(state, a_f, model, plan.support, config, plan.kernels)
+    assert_close(state.h, channel_first(dump["h_final"]), SPECTRA)
 
 
 @pytest.mark.parametrize(("sequence", "frame"), LATER)
@@ -131,25 +133,26 @@ def test_ideal_label_has_the_published_pedestal(dump: Dump, plan: Plan, config: 
 @pytest.mark.parametrize(("sequence", "frame"), LATER)
 def test_response_is_the_published_one(dump: Dump, before: Dump, plan: Plan) -> None:
     maps = np.concatenate([dump["gray_det"].reshape(50, 50, 1), dump["hog_det"], dump["cn_det"]], axis=2)
-    sample_f = dft(channel_first(maps).astype(np.float32) * plan.window)
-    response = inverse_dft(correlate(channel_first(before["g_f_half"]), sample_f), plan.grid_mn)
+    sample_f = plan.kernels.windowed_dft(channel_first(maps).astype(np.float32), plan.window)
+    response_f = plan.kernels.correlate(channel_first(before["g_f_half"]), sample_f)
+    response = plan.kernels.inverse_dft(response_f, plan.grid_mn)
     assert_close(response, dump["response"], RESPONSE)
 
 
 @pytest.mark.parametrize(("sequence", "frame"), LATER)
-def test_peak_is_found_between_the_same_cells(dump: Dump) -> None:
-    row, col = locate_peak(dump["response"].astype(np.float32))
+def test_peak_is_found_between_the_same_cells(kernels: Kernels, dump: Dump) -> None:
+    response = dump["response"].astype(np.float32)
+    row, col = kernels.locate_peak(response, dft(response))
     assert row == pytest.approx(dump["disp_row"].item(), abs=1e-5)
     assert col == pytest.approx(dump["disp_col"].item(), abs=1e-5)
 
 
 @pytest.mark.parametrize(("sequence", "frame"), LATER)
-def test_threat_is_the_published_one(dump: Dump, config: TrackerConfig) -> None:
+def test_threat_is_the_published_one(kernels: Kernels, dump: Dump, config: TrackerConfig) -> None:
     seen: Dump = {}
-    threat = threat_in_window(
-        dump["response"].astype(np.float32), nu=config.threat_nu, delta=config.threat_delta, probe=seen.__setitem__
-    )
-    assert threat == pytest.approx(dump["tau"].item(), abs=5e-6)
+    response, nu, delta = dump["response"].astype(np.float32), config.threat_nu, config.threat_delta
+    assert kernels.threat_in_window(response, nu=nu, delta=delta) == pytest.approx(dump["tau"].item(), abs=5e-6)
+    threat_in_window(response, nu=nu, delta=delta, probe=seen.__setitem__)
     np.testing.assert_allclose(seen["threat_window"], dump["sub13"], atol=1e-6)
     # the zeroed hole is a plateau: whether it counts as a maximum changes nothing, as its weight is 0
     hole = np.zeros((13, 13), dtype=bool)
@@ -157,25 +160,24 @@ def test_threat_is_the_published_one(dump: Dump, config: TrackerConfig) -> None:
     np.testing.assert_array_equal(seen["threat_maxima"][~hole], dump["locmax13"][~hole])
 
 
-def scale_features_of(dump: Dump, stage: str, plan: Plan) -> Any:
-    """Dumped samples in our order: (K, F), channel, row, column instead of channel, column, row."""
+def scale_spectrum_of(dump: Dump, stage: str, plan: Plan) -> Any:
+    """Spectrum of dumped samples in our order: (K, F), channel, row, column instead of channel, column, row."""
     rows, cols = plan.scale.model_hw[0] // 4, plan.scale.model_hw[1] // 4
     samples = dump[f"scale_sample_{stage}"].T.reshape(33, 31, cols, rows)
-    return np.ascontiguousarray(samples.swapaxes(2, 3)).reshape(33, -1).astype(np.float32)
+    return plan.kernels.scale_dft(np.ascontiguousarray(samples.swapaxes(2, 3), np.float32).reshape(33, -1))
 
 
 @pytest.mark.parametrize(("sequence", "frame"), FIRST)
 def test_scale_filter_learns_the_published_denominator(dump: Dump, plan: Plan) -> None:
-    learned = train_scale(scale_features_of(dump, "train", plan), None, plan.scale)
+    learned = train_scale(scale_spectrum_of(dump, "train", plan), None, plan.scale, plan.kernels)
     np.testing.assert_allclose(learned.den, dump["sf_den"].ravel()[:17], rtol=1e-4)
 
 
 @pytest.mark.parametrize(("sequence", "frame"), [("Gull2", 2), ("S1301", 2)])
 def test_scale_response_is_the_published_one(dump: Dump, before: Dump, plan: Plan) -> None:
-    learned: ScaleFilter = train_scale(scale_features_of(before, "train", plan), None, plan.scale)
+    learned: ScaleFilter = train_scale(scale_spectrum_of(before, "train", plan), None, plan.scale, plan.kernels)
     seen: Dump = {}
-    scale = estimate_scale(
-        scale_features_of(dump, "det", plan), dump["csf_before"].item(), learned, plan.scale, seen.__setitem__
-    )
+    x_f, scale_before = scale_spectrum_of(dump, "det", plan), dump["csf_before"].item()
+    scale = estimate_scale(x_f, scale_before, learned, plan.scale, plan.kernels, seen.__setitem__)
     assert_close(seen["scale_response"], dump["scale_response"].ravel(), 1e-4)
     assert scale == pytest.approx(dump["currentScaleFactor"].item(), rel=1e-6)

@@ -4,6 +4,7 @@ import pytest
 
 from mscf.arrays import Image
 from mscf.geometry import Box
+from mscf.kernels import Kernels
 from mscf.search import RANKS, Looks, place_around
 
 BOX = Box(140, 100, 40, 30)
@@ -20,16 +21,16 @@ def frame(rng: np.random.Generator) -> Image:
     return textured(rng, 240, 320)
 
 
-def test_a_target_is_like_itself_and_not_like_its_surroundings(frame: Image) -> None:
-    looks = Looks.of(frame, BOX)
+def test_a_target_is_like_itself_and_not_like_its_surroundings(frame: Image, kernels: Kernels) -> None:
+    looks = Looks.of(frame, BOX, kernels)
     assert looks.similarity(frame, BOX) == pytest.approx(1)
     assert looks.similarity(frame, Box(20, 20, 40, 30)) < 0.3
     assert looks.similarity(np.full_like(frame, 90), BOX) == 0
 
 
-def test_looks_follow_the_target_slowly(frame: Image) -> None:
+def test_looks_follow_the_target_slowly(frame: Image, kernels: Kernels) -> None:
     other = np.ascontiguousarray(frame[:, ::-1])
-    first = Looks.of(frame, BOX)
+    first = Looks.of(frame, BOX, kernels)
     after = first.after(other, BOX)
     assert first.similarity(other, BOX) < after.similarity(other, BOX) < after.similarity(frame, BOX)
     for _ in range(40):
@@ -37,25 +38,27 @@ def test_looks_follow_the_target_slowly(frame: Image) -> None:
     assert after.similarity(other, BOX) > 0.95
 
 
-def test_looks_keep_nothing_of_the_frame(frame: Image) -> None:
-    looks, kept = Looks.of(frame, BOX), frame.copy()
+def test_looks_keep_nothing_of_the_frame(frame: Image, kernels: Kernels) -> None:
+    looks, kept = Looks.of(frame, BOX, kernels), frame.copy()
     frame[:] = 0
     assert looks.similarity(kept, BOX) == pytest.approx(1)
     assert looks.best_match(kept, 0) is not None
 
 
 @pytest.mark.parametrize(("x", "y"), [(140, 100), (5, 8), (270, 200)])
-def test_the_best_match_is_the_target_wherever_it_is(rng: np.random.Generator, x: int, y: int) -> None:
+def test_the_best_match_is_the_target_wherever_it_is(
+    rng: np.random.Generator, x: int, y: int, kernels: Kernels
+) -> None:
     ground, target = textured(rng, 240, 320) // 3, textured(rng, 30, 40)
     first, now = ground.copy(), ground.copy()
     first[100:130, 140:180] = target
     now[y : y + 30, x : x + 40] = target
-    found = Looks.of(first, BOX).best_match(now, 0)
+    found = Looks.of(first, BOX, kernels).best_match(now, 0)
     assert found == pytest.approx((x + 20, y + 15), abs=4)
 
 
-def test_further_matches_are_elsewhere(frame: Image) -> None:
-    looks = Looks.of(frame, BOX)
+def test_further_matches_are_elsewhere(frame: Image, kernels: Kernels) -> None:
+    looks = Looks.of(frame, BOX, kernels)
     places = [looks.best_match(frame, rank) for rank in range(RANKS)]
     for index, place in enumerate(places):
         assert place is not None
@@ -64,13 +67,13 @@ def test_further_matches_are_elsewhere(frame: Image) -> None:
             assert abs(place[0] - other[0]) >= BOX.w / 2 or abs(place[1] - other[1]) >= BOX.h / 2
 
 
-def test_a_target_as_large_as_the_frame_has_no_match(frame: Image) -> None:
-    assert Looks.of(frame, Box(-10, -10, 340, 260)).best_match(frame, 0) is None
+def test_a_target_as_large_as_the_frame_has_no_match(frame: Image, kernels: Kernels) -> None:
+    assert Looks.of(frame, Box(-10, -10, 340, 260), kernels).best_match(frame, 0) is None
 
 
-def test_a_frame_without_texture_has_a_match_somewhere(frame: Image) -> None:
+def test_a_frame_without_texture_has_a_match_somewhere(frame: Image, kernels: Kernels) -> None:
     flat = np.zeros_like(frame)
-    for looks in (Looks.of(frame, BOX), Looks.of(flat, BOX)):
+    for looks in (Looks.of(frame, BOX, kernels), Looks.of(flat, BOX, kernels)):
         place = looks.best_match(flat, RANKS - 1)
         assert place is not None
         assert 0 <= place[0] <= 320

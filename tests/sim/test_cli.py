@@ -157,3 +157,21 @@ def test_the_step_in_which_the_controller_raises_ends_the_record_of_the_simulato
     *_, last = read_control(folder)
     assert isinstance(last, RecordedFailure)
     assert replay(folder).raised == "KeyError: 'a mistake'"
+
+
+def test_a_camera_of_another_size_sees_as_wide_and_is_configured_so() -> None:
+    larger = replace(FLIGHT, frame_hw=(720, 1280))
+    camera, own = larger.place(0).camera, FLIGHT.place(0).camera
+    assert camera.size_hw == (720, 1280)
+    assert camera.size_hw[1] / camera.focal_px == own.size_hw[1] / own.focal_px
+    described = larger.config(larger.place(0)).camera
+    assert (described.width_px, described.height_px, described.focal_px) == (1280, 720, camera.focal_px)
+
+
+@pytest.mark.parametrize(
+    "size", ["", "640", "640x", "x480", "640*480", "0x0", "63x480", "640x2161", "-640x480", "9e2x480"]
+)
+def test_a_size_that_no_camera_has_is_refused(size: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["sim", f"--frames={size}"])
+    assert "as in 1280x720" in capsys.readouterr().err

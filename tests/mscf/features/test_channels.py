@@ -6,30 +6,32 @@ import numpy as np
 import pytest
 
 from mscf.errors import ConfigError
-from mscf.features.color_names import color_names, load_table
-from mscf.features.gray import gray
-from mscf.features.stack import feature_stack
+from mscf.features.color_names import load_table
+from mscf.kernels import Kernels
+
+GRAY, NAMES = 0, slice(32, 42)
 
 
-def test_gray_is_the_mean_luminance_of_a_cell() -> None:
+def test_gray_is_the_mean_luminance_of_a_cell(kernels: Kernels) -> None:
     patch = np.zeros((8, 8, 3), np.uint8)
     patch[:4, :4] = (10, 20, 30)
     patch[4:, 4:] = 255
-    cells = gray(patch, 4)
+    cells = kernels.feature_stack(patch, None)[GRAY]
     assert cells[0, 0] == pytest.approx((0.114021 * 10 + 0.587043 * 20 + 0.298936 * 30) / 255 - 0.5, abs=1e-6)
     assert cells[0, 1] == pytest.approx(-0.5)
     assert cells[1, 1] == pytest.approx(0.5, abs=1e-6)
 
 
-def test_a_gray_patch_and_its_colour_copy_have_the_same_gray(rng: np.random.Generator) -> None:
+def test_a_gray_patch_and_its_colour_copy_have_the_same_gray(kernels: Kernels, rng: np.random.Generator) -> None:
     patch = rng.integers(0, 256, (40, 40), dtype=np.uint8)
-    np.testing.assert_allclose(gray(patch, 4), gray(np.stack([patch] * 3, axis=2), 4), atol=1e-6)
+    one, other = (kernels.feature_stack(each, None) for each in (patch, np.stack([patch] * 3, axis=2)))
+    np.testing.assert_allclose(one[GRAY], other[GRAY], atol=1e-6)
 
 
-def test_colour_names_are_the_mean_of_the_rows_of_a_cell(rng: np.random.Generator) -> None:
+def test_colour_names_are_the_mean_of_the_rows_of_a_cell(kernels: Kernels, rng: np.random.Generator) -> None:
     table = rng.standard_normal((32768, 10), dtype=np.float32)
     patch = rng.integers(0, 256, (12, 8, 3), dtype=np.uint8)
-    cells = color_names(patch, 4, table)
+    cells = kernels.feature_stack(patch, table)[NAMES]
     assert cells.shape == (10, 3, 2)
     for row in range(3):
         for col in range(2):
@@ -38,10 +40,10 @@ def test_colour_names_are_the_mean_of_the_rows_of_a_cell(rng: np.random.Generato
             np.testing.assert_allclose(cells[:, row, col], table[index].mean(axis=0), atol=1e-6)
 
 
-def test_without_a_table_the_colour_names_are_dropped(rng: np.random.Generator) -> None:
+def test_without_a_table_the_colour_names_are_dropped(kernels: Kernels, rng: np.random.Generator) -> None:
     patch = rng.integers(0, 256, (200, 200, 3), dtype=np.uint8)
-    assert feature_stack(patch, 4, load_table(None)).shape == (42, 50, 50)
-    assert feature_stack(patch[..., 0], 4, None).shape == (32, 50, 50)
+    assert kernels.feature_stack(patch, load_table(None)).shape == (42, 50, 50)
+    assert kernels.feature_stack(patch[..., 0], None).shape == (32, 50, 50)
 
 
 def test_a_table_that_is_not_there_is_named(tmp_path: Path) -> None:
