@@ -19,6 +19,7 @@ setup(
                 "-std=c++17",
                 "-O3",
                 "-g0",
+                "-fno-wrapv",  # Python's own flags have -fwrapv, with which half of the loops are not vectorised
                 "-fvisibility=hidden",
                 "-fno-math-errno",
                 "-fno-trapping-math",
