@@ -62,11 +62,12 @@ MSCF_INLINE void strongest(const int16_t* dy, const int16_t* dx, int cols, int c
   }
 }
 
-// Gradient magnitudes by orientation, shared bilinearly among the 2 x 2 nearest cells. `votes` is (18, M + 2, N + 2)
-// zeros: a border of one cell takes what falls outside.
+// Gradient magnitudes by orientation, shared bilinearly among the 2 x 2 nearest cells. `votes` is 2 x (18, M + 2, N + 2)
+// zeros, the second for every other pixel: neighbours mostly vote for the same, and would wait for one another. A border
+// of one cell takes what falls outside.
 MSCF_INLINE void vote(const Pixels& patch, const uint8_t* orientation_bins, int rows, int cols, float* votes,
                       int16_t* diff, int32_t* per_pixel, float* magnitude) {
-  const int stride = cols + 2, plane = (rows + 2) * stride;
+  const int stride = cols + 2, plane = (rows + 2) * stride, votes_size = kSigned * plane;
   int16_t *dy = diff, *dx = diff + patch.cols * patch.channels;
   int32_t *squared = per_pixel, *code = per_pixel + patch.cols;
   // mean over a cell's pixels; 1/2 as the differences are over two pixels
@@ -83,7 +84,7 @@ MSCF_INLINE void vote(const Pixels& patch, const uint8_t* orientation_bins, int 
         const int x = first + step;
         if (x < 0 || x >= last) continue;
         const float right = (float(step) + 0.5f) / kCell;
-        float* cell = upper + orientation_bins[code[x]] * plane;
+        float* cell = upper + step % 2 * votes_size + orientation_bins[code[x]] * plane;
         const float strong = magnitude[x] * kShare, low = strong * below, high = strong - low;
         const float high_right = high * right, low_right = low * right;
         cell[0] += high - high_right;
@@ -92,6 +93,7 @@ MSCF_INLINE void vote(const Pixels& patch, const uint8_t* orientation_bins, int 
         cell[stride + 1] += low_right;
       }
   }
+  for (int i = 0; i < votes_size; ++i) votes[i] += votes[votes_size + i];
 }
 
 MSCF_INLINE void raise_border(int rows, int cols, float* votes) {
@@ -185,11 +187,11 @@ MSCF_KERNEL void fhog(const Pixels& patch, const uint8_t* orientation_bins, floa
   static thread_local Scratch<float> floats;
   static thread_local Scratch<int32_t> ints;
   static thread_local Scratch<int16_t> shorts;
-  float* votes = floats.take(votes_size + size_t(rows + 1) * (cols + 1) + size_t(rows) * cols + patch.cols + kLanes);
-  float* gain = votes + votes_size;
+  float* votes = floats.take(2 * votes_size + size_t(rows + 1) * (cols + 1) + size_t(rows) * cols + patch.cols + kLanes);
+  float* gain = votes + 2 * votes_size;
   float* energy = gain + (rows + 1) * (cols + 1);
   float* magnitude = energy + rows * cols;
-  std::memset(votes, 0, votes_size * sizeof *votes);
+  std::memset(votes, 0, 2 * votes_size * sizeof *votes);
   vote(patch, orientation_bins, rows, cols, votes, shorts.take(2 * size_t(patch.cols) * patch.channels),
        ints.take(2 * size_t(patch.cols)), magnitude);
   raise_border(rows, cols, votes);
