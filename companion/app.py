@@ -292,7 +292,11 @@ class App:
         """Zero velocity, disengage, and let go of everything."""
         self._notifier.send(STOPPING="1")
         now_s = time.monotonic()
-        farewell = self._follower.farewell(now_s)
+        farewell: tuple[bytes, ...] = ()
+        try:
+            farewell = self._follower.farewell(now_s)
+        except Exception:  # what is said on the way here, and what is to be let go, is not to suffer by it
+            logger.exception("no last words")
         self._link.flush(b"".join(farewell), FAREWELL_S)
         if self._keeper is not None:
             self._keeper.close()

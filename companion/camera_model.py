@@ -81,8 +81,15 @@ def on_the_way(first: Quaternion, second: Quaternion, share: float) -> Quaternio
     if sine == 0:
         return first
     half_rad = math.atan2(sine, abs(w)) * share
-    scale = math.copysign(math.sin(half_rad) / sine, w)  # q and -q are one rotation: the nearer one counts
+    # q and -q are one rotation: the nearer one counts; beyond a full turn the sine has a sign of its own
+    scale = math.copysign(1.0, w) * math.sin(half_rad) / sine
     return product(first, (math.cos(half_rad), scale * x, scale * y, scale * z))
+
+
+def turn_between_rad(first: Quaternion, second: Quaternion) -> float:
+    """Angle of the shortest turn from one to another, 0..pi."""
+    w, x, y, z = product((first[0], -first[1], -first[2], -first[3]), second)
+    return 2 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 def rotation_of(q: Sequence[float]) -> Real64 | None:

@@ -614,8 +614,8 @@ class Controller:
             self._event(Event.HOLD_DUE)
         if self._state.mode in {Mode.COASTING, Mode.HOLDING, Mode.SEARCHING} and lost_s > loss.confirm_after_s:
             self._change(must_confirm=True)
-        # one that was never seen has no side to look on
-        is_search_due = state.target is not None and loss.search_after_s and lost_s >= loss.search_after_s
+        # a new one that nobody has confirmed has no aim, and is nothing to turn the vehicle for
+        is_search_due = state.aim is not None and loss.search_after_s and lost_s >= loss.search_after_s
         if self._state.mode is Mode.HOLDING and is_search_due:
             self._event(Event.SEARCH_DUE)
         is_searching = self._state.mode in {Mode.HOLDING, Mode.SEARCHING} and lost_s >= loss.give_up_after_s

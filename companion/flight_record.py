@@ -20,7 +20,7 @@ import math
 import os
 import platform
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -191,9 +191,16 @@ class FlightRecord:
             self.flush()
 
     def add_failed(self, failed: FailedStep) -> None:
-        """Append the step whose controller raised, and hand it over to the system at once."""
+        """Append the step whose controller raised, and hand it over to the system at once.
+
+        Inputs that cannot be recorded may be what it raised of: then the exception stands alone.
+        """
         self._add_packets(failed.inputs.now_s, failed.received)
-        self._control.write(line_of({"inputs": encoded(failed.inputs), "raised": failed.raised}))
+        try:
+            line = line_of({"inputs": encoded(failed.inputs), "raised": failed.raised})
+        except (TypeError, ValueError, RecursionError):
+            line = line_of({"raised": failed.raised})
+        self._control.write(line)
         self.flush()
 
     def add_gap(self, count: int) -> None:
@@ -293,7 +300,7 @@ class RecordedStep:
 class RecordedFailure:
     """The step whose controller raised, which ended the flight."""
 
-    inputs: ControlInput
+    inputs: ControlInput | None  # None: they could not be recorded
     raised: str  # class and text of the exception
 
 
@@ -345,28 +352,51 @@ def read_about(folder: Path) -> dict[str, Any]:
 def read_control(folder: Path) -> Iterator[Entry]:
     """The lines of a record, in order; half a line at the end is left out.
 
-    A line that is none of ours, or goes back in time, comes as `Damage`: whoever reads on must say so.
+    A line that is none of ours, or whose time cannot be right, comes as `Damage`: whoever reads on must say so.
 
     Raises
     ------
     UsageError
         If the file is not there.
     """
-    path, last_s = folder / CONTROL, -math.inf
+    path = folder / CONTROL
     try:
         with path.open("rb") as file:
-            for number, line in enumerate(file, start=1):
-                if not line.endswith(b"\n"):
-                    return
-                try:
-                    entry = _entry(line)
-                    last_s = _checked_time_s(entry, last_s)
-                except (KeyError, TypeError, ValueError, RecursionError) as error:
-                    why = f"{type(error).__name__}: {error}"
-                    entry = Damage(f"{path}, line {number} is damaged, or of another version: {why}")
-                yield entry
+            yield from _in_order(path, file)
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _in_order(path: Path, lines: Iterable[bytes]) -> Iterator[Entry]:
+    """The entries of lines, each held back until the next time shows that its own can be right.
+
+    Of two whose times go back one is wrong: the earlier one where the later one is not before the entry before both, so
+    that a single time far ahead takes none of what follows with it; else the later one.
+    """
+    held: list[Entry] = []  # the last one with a time, and those without one since
+    number_of_last, last_s, before_s = 0, -math.inf, -math.inf  # the time of the last one, and of the one before it
+    for number, line in enumerate(lines, start=1):
+        if not line.endswith(b"\n"):
+            break
+        try:
+            entry = _entry(line)
+            time_s = _checked_time_s(entry, before_s)
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
+            entry, time_s = _damage(path, number, f"{type(error).__name__}: {error}"), None
+        if time_s is None:
+            held.append(entry)
+            continue
+        if time_s < last_s:
+            held[0] = _damage(path, number_of_last, f"its time is {last_s}, before one of {time_s}")
+        else:
+            before_s = last_s
+        yield from held
+        held, number_of_last, last_s = [entry], number, time_s
+    yield from held
+
+
+def _damage(path: Path, number: int, why: str) -> Damage:
+    return Damage(f"{path}, line {number} is damaged, or of another version: {why}")
 
 
 def _entry(line: bytes) -> Entry:
@@ -382,6 +412,8 @@ def _entry(line: bytes) -> Entry:
     if "farewell" in content:
         time_s = _checked(decoded(content["farewell"]), float, "farewell")
         return Farewell(time_s, _checked(decoded(content["messages"]), tuple[int, ...], "messages"), texts)
+    if "raised" in content and "inputs" not in content:
+        return RecordedFailure(None, _checked(content["raised"], str, "raised"))
     inputs = _checked(decoded(content["inputs"]), ControlInput, "inputs")
     if "raised" in content:
         return RecordedFailure(inputs, _checked(content["raised"], str, "raised"))
@@ -407,17 +439,15 @@ def time_of(entry: Entry) -> float | None:
     """When it was, on the clock of the record; None: it does not say."""
     match entry:
         case RecordedStep() | RecordedFailure():
-            return entry.inputs.now_s
+            return entry.inputs.now_s if entry.inputs is not None else None
         case Farewell():
             return entry.now_s
     return None
 
 
-def _checked_time_s(entry: Entry, last_s: float) -> float:
-    """Time of an entry, or of the last where it has none, before which it must not be."""
+def _checked_time_s(entry: Entry, before_s: float) -> float | None:
+    """Time of an entry, if it has one, which must not be before another."""
     time_s = time_of(entry)
-    if time_s is None:
-        return last_s
-    if not last_s <= time_s < math.inf:
-        raise ValueError(f"its time is {time_s}, after one of {last_s}")
+    if time_s is not None and not before_s <= time_s < math.inf:
+        raise ValueError(f"its time is {time_s}, after one of {before_s}")
     return time_s

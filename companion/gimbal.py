@@ -18,6 +18,7 @@ from companion.camera_model import (
     quaternion,
     rotation,
     rotation_of,
+    turn_between_rad,
     wrapped,
 )
 from companion.config import GimbalConfig
@@ -39,6 +40,7 @@ from mscf.arrays import Real64
 MAX_CONTROL_AGE_S = 1.5  # of the manager's word on who has it; it is asked for five times a second
 MAX_AHEAD_S = 0.1  # of a frame before the newest attitude of the gimbal
 MIN_TURN_S = 0.02  # between two attitudes that tell how fast it turns: of nearer ones the noise would
+MAX_TURN_RADPS = 10.0  # no gimbal that carries a camera is as fast: beyond, one of two attitudes is a jump
 CLAIM_EVERY_S = 1.0  # an order whose effect does not show is given again
 MAX_PAUSE_S = 0.5  # in aiming, after which it begins from where the gimbal looks
 TAKEN_OVER = "Gimbal taken over by another station: let go"
@@ -72,7 +74,8 @@ class GimbalHistory:
     def at(self, time_s: float, vehicle: Attitude) -> Real64 | None:
         """Rotation (3, 3) from the camera's axes to NED at a time, interpolated; None where no attitude is near.
 
-        Up to 0.1 s after the newest attitude, that one turned on as it turned last.
+        Up to 0.1 s after the newest attitude, that one turned on as it turned last; unturned, where that was faster
+        than any gimbal.
 
         Parameters
         ----------
@@ -85,6 +88,8 @@ class GimbalHistory:
         span_s = later.time_s - earlier.time_s
         share = (time_s - earlier.time_s) / span_s if span_s > 0 else 0.0
         first, second = (quaternion(told.roll_rad, told.pitch_rad, told.yaw_rad) for told in found)
+        if share > 1 and turn_between_rad(first, second) > MAX_TURN_RADPS * span_s:
+            share = 1.0
         turned = on_the_way(first, second, share)
         if not self._is_yaw_on_earth:  # of the nose's frame only the yaw is the vehicle's: it is level
             turned = product(quaternion(0.0, 0.0, vehicle.yaw_rad), turned)

@@ -7,7 +7,9 @@ and only from who has the primary control (InputMavlinkGimbalV2).
 """
 
 import math
+import struct
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -32,6 +34,7 @@ ASK_EVERY_S = 2.0
 ATTITUDE_HZ = 30.0  # as frames
 STATUS_HZ = 5.0
 FROZEN_AFTER = 5  # attitudes with one stamp it is none; two routers on the way bring one attitude twice
+MAX_SAME_S = 0.2  # that one without a clock may repeat itself: 0.3 s with what a frame may be ahead of it
 MIN_RATE_SHARE = 0.5  # of a rate that was asked for; below, it is asked for again
 HORIZON = mavlink.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
 EARTH_YAW = mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK | mavlink.GIMBAL_MANAGER_FLAGS_YAW_IN_EARTH_FRAME
@@ -40,15 +43,48 @@ RELEASE = -3.0  # of MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: give up control where 
 UNCHANGED = -1.0
 _ALL_ROUND_RAD = math.tau - 0.01
 _NAN = math.nan
+_CONTENT = struct.Struct("<H7f")  # flags, q, angular velocity; as bytes, in which a NaN is equal to itself
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """The newest attitude of one component, and what its stamps have been like.
+
+    repeats : how many attitudes before had its stamp.
+    has_ticked : whether the stamp was ever another one.
+    content : what it says, without its stamp; it says so since `since_s`, our time.
+    """
+
+    stamp_ms: int
+    content: bytes
+    since_s: float
+    repeats: int = 0
+    has_ticked: bool = False
+
+
+def _told(message: Any, before: _Told | None, now_s: float) -> _Told:
+    rates_radps = (message.angular_velocity_x, message.angular_velocity_y, message.angular_velocity_z)
+    content, stamp_ms = _CONTENT.pack(message.flags, *message.q, *rates_radps), message.time_boot_ms
+    if before is None:
+        return _Told(stamp_ms, content, now_s)
+    since_s = before.since_s if content == before.content else now_s
+    if stamp_ms == before.stamp_ms:
+        return _Told(stamp_ms, content, since_s, before.repeats + 1, before.has_ticked)
+    return _Told(stamp_ms, content, since_s, has_ticked=True)
 
 
 class GimbalProtocol:
     """The client of one gimbal; silent and deaf where none is configured.
 
-    An attitude is of its `time_boot_ms`. A device that leaves this at 0, or where it is, has no clock that could be
-    mapped to ours: its attitudes are of the time at which they are read. Nothing is taken off that, as nothing is off
-    the smallest delay of a stamp: they are really older, by the link's delay and by up to a period of the command loop
-    (50 ms at 20 Hz, in which a gimbal that turns at 40 degrees/s turns by 2).
+    An attitude is of its `time_boot_ms`. Once that has advanced, one that stands still is of an old attitude, said
+    again, and means nothing: telemetry that hangs must not be taken for a gimbal that does not turn.
+
+    A device that leaves it at 0, or where it is from the first attitude on, has no clock that could be mapped to ours:
+    its attitudes are of the time at which they are read. Nothing is taken off that, as nothing is off the smallest
+    delay of a stamp: they are really older, by the link's delay and by up to a period of the command loop (50 ms at
+    20 Hz, in which a gimbal that turns at 40 degrees/s turns by 2). That it still measures is only to be seen by its
+    saying something else: what it repeats to the bit for 0.2 s is no measurement from then on. No gimbal in flight is
+    that quiet; one on a bench may be.
 
     Parameters
     ----------
@@ -64,7 +100,7 @@ class GimbalProtocol:
         self._holder = Holder.NOBODY
         self._autopilot_clock = autopilot_clock
         self._device_clock = BootClock()
-        self._stamp_ms, self._repeats = 0, 0  # time_boot_ms of the last attitude, and how many had it before
+        self._told: dict[int, _Told] = {}  # by the component that tells: each has its own clock, or none
         self._asked_s = -math.inf
         self._heard = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0, "GIMBAL_MANAGER_STATUS": 0}  # since then
 
@@ -132,19 +168,21 @@ class GimbalProtocol:
         if ned_from_camera is None:
             return None
         self._heard["GIMBAL_DEVICE_ATTITUDE_STATUS"] += 1
-        time_s = self._time_s(message.get_srcComponent(), message.time_boot_ms, now_s)
+        time_s = self._time_s(message, now_s)
         if time_s is None:
             return None
         return GimbalAttitude(time_s, *angles(ned_from_camera), _is_yaw_on_earth(message.flags))
 
-    def _time_s(self, component: int, boot_ms: int, now_s: float) -> float | None:
-        """Our time of an attitude; None where it is not known."""
-        self._repeats = self._repeats + 1 if boot_ms == self._stamp_ms else 0
-        self._stamp_ms = boot_ms
-        if boot_ms == 0 or self._repeats >= FROZEN_AFTER:
+    def _time_s(self, message: Any, now_s: float) -> float | None:
+        """Our time of an attitude; None where it is not known, or nothing new."""
+        component = message.get_srcComponent()
+        told = self._told[component] = _told(message, self._told.get(component), now_s)
+        if told.has_ticked and (told.repeats or told.stamp_ms == 0):
+            return None
+        if told.stamp_ms == 0 or told.repeats >= FROZEN_AFTER:
             self._device_clock.reset()  # should it tick later, it does so from another time
-            return now_s
-        boot_s = boot_ms / 1000
+            return now_s if now_s - told.since_s <= MAX_SAME_S else None
+        boot_s = told.stamp_ms / 1000
         clock = self._device_clock  # a manager that is not the autopilot counts from its own start
         if component == AUTOPILOT_COMPONENT:
             clock = self._autopilot_clock

@@ -1,5 +1,6 @@
 """A recorded flight, decided again: the recorded inputs through a new controller, every output compared to the bit."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,13 @@ from companion.flight_record import (
     encoded,
     line_of,
     read_control,
+    time_of,
     versions,
 )
 from companion.follower import described
 from companion.types import ControlInput
+
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")  # of an object in the text of an exception: another one in every process
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,7 @@ class Replay:
     """What came of it.
 
     steps : that were compared and are equal.
-    missing : how many the recorder lost, after which nothing can be compared; 0: none.
+    missing : how many the recorder lost, or lost the inputs of, after which nothing can be compared; 0: none.
     recorded_by : version of the project; None: the one that replays.
     is_whole : whether the record has its end: it breaks off where the process was killed, or the disk was full.
     raised : what the controller raised in the last step, then as now; empty: nothing.
@@ -75,7 +79,9 @@ def replay(folder: Path) -> Replay:
             raise UsageError(f"{entry.text}; from there on nothing can be compared, the {steps} steps before are equal")
         if isinstance(entry, Gap):
             return Replay(steps, missing=entry.count, recorded_by=other)
-        now_s = entry.now_s if isinstance(entry, Farewell) else entry.inputs.now_s
+        now_s = time_of(entry)
+        if now_s is None:  # a step that failed, whose inputs could not be recorded
+            return Replay(steps, missing=1, recorded_by=other)
         start_s = now_s if start_s is None else start_s
         if isinstance(entry, Farewell):
             is_whole = True
@@ -83,9 +89,11 @@ def replay(folder: Path) -> Replay:
             was_asked, is_asked = STATUSTEXT in entry.message_ids, controller.shut_down() is not None
             found = None if was_asked is is_asked else ("request at the end", str(was_asked), str(is_asked))
         else:
+            assert entry.inputs is not None  # it has a time
             output, raised = _decided(controller, entry.inputs)
             was_raised = entry.raised if isinstance(entry, RecordedFailure) else ""
-            found = ("exception", was_raised or "none", raised or "none") if raised != was_raised else None
+            is_same = _lasting(raised) == _lasting(was_raised)
+            found = None if is_same else ("exception", was_raised or "none", raised or "none")
             if found is None and not isinstance(entry, RecordedFailure):
                 found = _difference(entry.output, output)
         if found is not None:
@@ -102,6 +110,11 @@ def _decided(controller: Controller, inputs: ControlInput) -> tuple[Any, str]:
         return encoded(controller.step(inputs)), ""
     except Exception as error:  # noqa: BLE001 - whatever it is, it is what is compared
         return None, described(error)
+
+
+def _lasting(raised: str) -> str:
+    """Text of an exception without what is another in every process."""
+    return _ADDRESS.sub("", raised)
 
 
 def _difference(recorded: Any, replayed: Any) -> tuple[str, str, str] | None:

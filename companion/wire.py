@@ -5,6 +5,7 @@ the senders write leaves in the order in which it was written, but for what move
 would be old before it had got past the answers to a ground station's questions, which may wait.
 """
 
+import logging
 import os
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from companion.signing import Signing
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+logger = logging.getLogger(__name__)
 _MAX_BACKLOG = 65536  # bytes handed to the parser at once; a longer read is old
 
 
@@ -48,6 +50,7 @@ class Wire:
         self._parser = self._end(0)
         self._parser.robust_parsing = True
         self._senders: dict[int, Any] = {}
+        self._failed: set[str] = set()  # kinds of messages of which one could not be packed
 
     @property
     def system_id(self) -> int:
@@ -100,12 +103,21 @@ class Wire:
         return message.get_srcSystem() == self._system_id and message.get_srcComponent() in self._senders
 
     def drain(self) -> tuple[bytes, ...]:
-        """All messages to be written since the last call: first those that are urgent, each kind in order."""
-        # all that wait are gone whatever happens: one that cannot be packed is not to be in the way of last words
+        """All messages to be written since the last call: first those that are urgent, each kind in order.
+
+        One that cannot be packed is left out, and logged where it is the first of its kind: a mistake in an answer must
+        cost no setpoint and no last words.
+        """
         waiting, self._waiting = self._waiting, []
         self._outbox.packets = []
-        for _, pack in sorted(waiting, key=lambda held: not _is_urgent(held[0])):
-            pack()
+        for message, pack in sorted(waiting, key=lambda held: not _is_urgent(held[0])):
+            try:
+                pack()
+            except Exception:  # whatever it is, it is this one message's
+                kind = message.get_type()
+                if kind not in self._failed:
+                    self._failed.add(kind)
+                    logger.exception("%s cannot be packed, and is not sent", kind)
         return tuple(self._outbox.packets)
 
 

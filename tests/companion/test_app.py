@@ -14,7 +14,7 @@ import pytest
 from companion.app import MAX_BEAT_AGE_S, App
 from companion.config import parse
 from companion.controller import Controller
-from companion.flight_record import CONTROL, VIDEO
+from companion.flight_record import CONTROL, VIDEO, Farewell, read_control
 from companion.follower import StepError
 from companion.notify import Notifier
 from companion.replay import replay
@@ -205,6 +205,30 @@ def test_a_controller_that_raises_ends_the_run_and_its_step_and_the_last_words_a
     result = replay(recorded(tmp_path))
     assert (result.steps, result.difference, result.raised) == (6, None, "ZeroDivisionError: a mistake")
     assert result.is_whole
+
+
+@pytest.mark.usefixtures("process")
+def test_last_words_that_fail_are_logged_and_the_port_is_flushed_and_the_record_ended(
+    make: Callable[[str], App],
+    filmed: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def broken(_: object) -> None:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr(Controller, "shut_down", broken)
+    app = make(filmed)
+    flushed: list[bytes] = []
+    monkeypatch.setattr(app._link, "flush", lambda data, _: flushed.append(data))
+    assert app.run() == 0
+    assert flushed == [b""]
+    assert caplog.messages.count("no last words") == 1
+    *_, last = read_control(recorded(tmp_path))
+    assert isinstance(last, Farewell)
+    assert last.message_ids == ()
+    assert not app._capture.is_alive()
 
 
 @pytest.mark.usefixtures("process")

@@ -5,7 +5,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.camera_model import HISTORY_S, AttitudeHistory, CameraModel, direction, ray_to, rotation, wrapped
+from companion.camera_model import (
+    HISTORY_S,
+    AttitudeHistory,
+    CameraModel,
+    Quaternion,
+    direction,
+    on_the_way,
+    product,
+    quaternion,
+    ray_to,
+    rotation,
+    rotation_of,
+    turn_between_rad,
+    wrapped,
+)
 from companion.config import parse
 from companion.types import Attitude
 
@@ -41,6 +55,26 @@ def test_a_wrapped_angle_is_the_same_angle_between_minus_and_plus_half_a_turn(an
     assert abs(wrapped(angle_rad)) <= math.pi
     assert math.cos(wrapped(angle_rad)) == pytest.approx(math.cos(angle_rad), abs=1e-9)
     assert math.sin(wrapped(angle_rad)) == pytest.approx(math.sin(angle_rad), abs=1e-9)
+
+
+def turned(first: Quaternion, angle_rad: float) -> Quaternion:
+    """After a turn about an axis that is none of the three."""
+    axis = (0.48, 0.6, 0.64)
+    return product(first, (math.cos(angle_rad / 2), *(math.sin(angle_rad / 2) * a for a in axis)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0, 3.0, 5.0, 9.0])
+@pytest.mark.parametrize("angle_rad", [1e-6, 0.3, math.pi / 2, 3.1])
+@pytest.mark.parametrize("sign", [1, -1])  # of the second one, which is the same rotation
+def test_a_turn_goes_on_at_its_rate_by_more_than_a_full_turn_too(share: float, angle_rad: float, sign: int) -> None:
+    first = quaternion(0.2, -1.1, 2.0)
+    w, x, y, z = turned(first, angle_rad)
+    second = (sign * w, sign * x, sign * y, sign * z)
+    found, wanted = rotation_of(on_the_way(first, second, share)), rotation_of(turned(first, share * angle_rad))
+    assert found is not None
+    assert wanted is not None
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    assert turn_between_rad(first, second) == pytest.approx(angle_rad)
 
 
 @steady

@@ -4,6 +4,7 @@ import platform
 import struct
 from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from companion.flight_record import (
     read_control,
 )
 from companion.follower import FailedStep, Follower, Step
-from companion.types import ControlInput, Severity, Text
+from companion.types import ControlInput, Parameter, Severity, Text
 from mscf import Box
 from sim.eyes import TrueEyes
 from sim.scenarios import SCENARIOS, fly
@@ -298,17 +299,58 @@ def _farewell(line: dict[str, Any]) -> None:
 def test_a_line_that_is_none_of_ours_is_named(
     tmp_path: Path, config: Config, steps: list[Step], spoil: Callable[[dict[str, Any]], None]
 ) -> None:
-    path = written(tmp_path, config, steps[:2]) / CONTROL
-    first, second = path.read_bytes().splitlines(keepends=True)
-    line = json.loads(second)
+    path = written(tmp_path, config, steps[:3]) / CONTROL
+    *before, third = path.read_bytes().splitlines(keepends=True)
+    line = json.loads(third)
     spoil(line)
-    path.write_bytes(first + line_of(line) + second)
-    step, damage, again = read_control(tmp_path)
+    path.write_bytes(b"".join([*before, line_of(line), third]))
+    first, second, damage, again = read_control(tmp_path)
     assert isinstance(damage, Damage)
-    assert "control.jsonl, line 2 is damaged, or of another version: " in damage.text
+    assert "control.jsonl, line 3 is damaged, or of another version: " in damage.text
     assert "\n" not in damage.text
-    assert isinstance(step, RecordedStep)
-    assert isinstance(again, RecordedStep)  # what is good behind it is read
+    for step in (first, second, again):  # what is good behind it is read
+        assert isinstance(step, RecordedStep)
+
+
+@pytest.mark.parametrize("number", [0, 1, 4, 8])
+@pytest.mark.parametrize("ahead_s", [0.075, 800.0])
+@pytest.mark.parametrize("has_gap", [False, True])
+def test_one_time_far_ahead_makes_its_own_line_damaged_and_none_that_follows(
+    tmp_path: Path,
+    config: Config,
+    steps: list[Step],
+    number: int,
+    ahead_s: float,
+    has_gap: bool,  # noqa: FBT001 - a table
+) -> None:
+    path = written(tmp_path, config, steps[:10]) / CONTROL
+    lines = path.read_bytes().splitlines(keepends=True)
+    line = json.loads(lines[number])
+    line["inputs"]["now_s"] += ahead_s
+    lines[number] = line_of(line)
+    if has_gap:
+        lines.insert(number + 1, line_of({"missing": 2}))
+    path.write_bytes(b"".join(lines))
+    entries = list(read_control(tmp_path))
+    damage = entries.pop(number)
+    assert isinstance(damage, Damage)
+    assert f"line {number + 1} is damaged" in damage.text
+    if has_gap:
+        assert entries.pop(number) == Gap(2)
+    inputs = [step.inputs for step in (*steps[:number], *steps[number + 1 : 10])]
+    assert [entry.inputs for entry in entries if isinstance(entry, RecordedStep)] == inputs
+    assert len(entries) == len(inputs)
+
+
+def test_a_time_before_both_that_it_follows_is_itself_the_damage(
+    tmp_path: Path, config: Config, steps: list[Step]
+) -> None:
+    path = written(tmp_path, config, steps[:10]) / CONTROL
+    lines = path.read_bytes().splitlines(keepends=True)
+    line = json.loads(lines[5])
+    line["inputs"]["now_s"] -= 0.5
+    path.write_bytes(b"".join([*lines[:5], line_of(line), *lines[6:]]))
+    assert [k for k, entry in enumerate(read_control(tmp_path)) if isinstance(entry, Damage)] == [5]
 
 
 @pytest.mark.parametrize(
@@ -327,6 +369,8 @@ def test_a_line_that_is_none_of_ours_is_named(
         b'{"farewell":NaN,"messages":[]}\n',
         b'{"farewell":1.0,"messages":["a"]}\n',
         b'{"inputs":{"is":"Contr{"missing":1}\n',
+        b'{"raised":1}\n',
+        b'{"raised":"ValueError: x","inputs":null}\n',
     ],
 )
 def test_no_line_makes_a_reader_raise_anything(tmp_path: Path, line: bytes) -> None:
@@ -387,6 +431,23 @@ def test_a_step_that_failed_is_read_back_with_its_exception(tmp_path: Path, conf
     )  # flushed
     assert record.size_bytes == sum((tmp_path / name).stat().st_size for name in (CONTROL, TLOG))
     record.close()
+
+
+NESTED = reduce(lambda inner, _: (inner,), range(5000), ())  # type: ignore[arg-type,return-value]
+
+
+@pytest.mark.parametrize("event", [object(), Parameter("X", {1: 2}), NESTED])  # type: ignore[arg-type]
+def test_a_step_that_failed_by_inputs_that_cannot_be_recorded_leaves_its_exception(
+    tmp_path: Path, config: Config, steps: list[Step], event: Any
+) -> None:
+    record = FlightRecord(tmp_path, config, START_S, START_US)
+    record.add(steps[0])
+    record.add_failed(FailedStep(replace(steps[1].inputs, events=(event,)), steps[1].received, "TypeError: x"))
+    record.add_farewell(steps[1].inputs.now_s, ())
+    record.close()
+    _, failure, farewell = read_control(tmp_path)
+    assert failure == RecordedFailure(None, "TypeError: x")
+    assert farewell == Farewell(steps[1].inputs.now_s, ())
 
 
 def test_lines_that_are_not_there_are_said(tmp_path: Path) -> None:

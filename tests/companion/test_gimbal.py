@@ -11,7 +11,7 @@ from cockpit import AHEAD, CAMERA, SIZE_HW, STEP_S, Cockpit, sent, speed_mps
 
 from companion.camera_model import CameraModel, angles, rotation, wrapped
 from companion.config import GimbalConfig
-from companion.gimbal import IN_USE, TAKEN_OVER, Gimbal, GimbalHistory, mounted
+from companion.gimbal import IN_USE, MAX_TURN_RADPS, TAKEN_OVER, Gimbal, GimbalHistory, mounted
 from companion.modes import Mode
 from companion.target import Measurement, Rate, TargetEstimate, estimate, measure
 from companion.types import (
@@ -117,6 +117,15 @@ def test_a_late_attitude_is_turned_on_for_a_tenth_of_a_second_and_no_longer() ->
     assert late.at(10.01, LEVEL) is None
     assert late.at(8.99, LEVEL) is None
     assert GimbalHistory().at(10.0, LEVEL) is None
+
+
+@pytest.mark.parametrize("rate_radps", [9.0, 11.0, 24.0, 60.0])
+def test_what_turned_faster_than_any_gimbal_is_between_its_attitudes_but_not_turned_on(rate_radps: float) -> None:
+    history = history_of((9.95, rotation(0.0, 0.0, 0.0)), (10.0, rotation(0.0, 0.0, rate_radps * 0.05)))
+    further_s = 0.09 if rate_radps < MAX_TURN_RADPS else 0.0
+    for time_s, wanted_s in ((9.97, -0.03), (10.0, 0.0), (10.09, further_s)):
+        wanted = rotation(0.0, 0.0, rate_radps * (0.05 + wanted_s))
+        assert apart_rad(looked(history, time_s), wanted) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("vehicle_yaw_rad", [0.0, 1.0, -2.9])

@@ -1,6 +1,7 @@
 """The gimbal protocol against an independent instance of pymavlink, which plays the manager and everybody else."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,19 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.config import GimbalConfig, parse
 from companion.follower import Follower
-from companion.gimbal_protocol import ASK_EVERY_S, EARTH_YAW, FROZEN_AFTER, HORIZON, VEHICLE_YAW, GimbalProtocol
+from companion.gimbal import GimbalHistory
+from companion.gimbal_protocol import (
+    ASK_EVERY_S,
+    EARTH_YAW,
+    FROZEN_AFTER,
+    HORIZON,
+    MAX_SAME_S,
+    VEHICLE_YAW,
+    GimbalProtocol,
+)
 from companion.time_sync import BootClock
 from companion.types import (
+    Attitude,
     Autopilot,
     Claim,
     GimbalAim,
@@ -25,6 +36,11 @@ from companion.types import (
     LinkEvent,
 )
 from companion.wire import Wire
+from sim.eyes import TrueEyes
+from sim.gimbal import Gimbal
+from sim.scenarios import AUTOPILOTS, SCENARIOS, Act, fly
+from sim.scenarios import Desk as Hands
+from sim.stages import Stage
 
 VEHICLE = 7  # its system id; neither 1 nor 255, which might be defaults
 OURS = 191
@@ -77,11 +93,14 @@ def status(primary: tuple[int, int], device: int = DEVICE, flags: int = 0) -> An
 
 
 def attitude(
-    q: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0), flags: int = IN_EARTH, device: int = DEVICE, boot_ms: int = 5000
+    q: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
+    flags: int = IN_EARTH,
+    device: int = DEVICE,
+    boot_ms: int = 5000,
+    rates_radps: tuple[float, float, float] = (math.nan, math.nan, math.nan),
 ) -> Any:
-    rates = (math.nan, math.nan, math.nan)
     return mavlink.MAVLink_gimbal_device_attitude_status_message(
-        0, 0, boot_ms, flags, q, *rates, 0, gimbal_device_id=device
+        0, 0, boot_ms, flags, q, *rates_radps, 0, gimbal_device_id=device
     )
 
 
@@ -187,12 +206,136 @@ def test_attitudes_whose_stamp_stands_still_are_of_the_time_at_which_they_are_re
 ) -> None:
     desk = introduced(device=device)
     desk.clock.ours_s(400.0, 49.9)  # the autopilot's own messages have another time
-    told = [
-        desk.hear(attitude(device=device, boot_ms=boot_ms), component=component, now_s=50.0 + 0.05 * k)
-        for k in range(40)
-    ]
+    turning = [attitude(about(2, 0.01 * k), device=device, boot_ms=boot_ms) for k in range(40)]
+    told = [desk.hear(said, component=component, now_s=50.0 + 0.05 * k) for k, said in enumerate(turning)]
     known = [event.time_s for events in told[FROZEN_AFTER:] for event in events if isinstance(event, GimbalAttitude)]
     assert known == pytest.approx([50.0 + 0.05 * k for k in range(FROZEN_AFTER, 40)])
+
+
+def is_known(history: GimbalHistory, now_s: float) -> bool:
+    return history.at(now_s, Attitude(now_s, 0.0, 0.0, 0.0, 0.0)) is not None
+
+
+@pytest.mark.parametrize(("component", "device"), [(1, DEVICE), (154, 154)])
+@pytest.mark.parametrize("hung_ms", [5960, 0])
+def test_telemetry_that_hangs_after_its_stamp_has_advanced_is_never_again_of_now(
+    component: int, device: int, hung_ms: int
+) -> None:
+    desk, history, known = introduced(device=device), GimbalHistory(), []
+    desk.clock.ours_s(5.0, 50.0)
+    for k in range(25 * 60):
+        now_s = 50.0 + 0.04 * k
+        said = attitude(about(2, 0.01 * min(k, 25)), device=device, boot_ms=5000 + 40 * k if k < 25 else hung_ms)
+        for event in desk.hear(said, component=component, now_s=now_s):
+            assert isinstance(event, GimbalAttitude)
+            history.add(event)
+        known.append(is_known(history, now_s))
+    assert all(known[:25])
+    assert not any(known[28:])  # 0.1 s later
+
+
+@pytest.mark.parametrize(("component", "device"), [(1, DEVICE), (154, 154)])
+def test_a_clock_that_was_there_is_not_done_without_and_counts_again_when_it_goes_on(
+    component: int, device: int
+) -> None:
+    desk = introduced(device=device)
+    desk.clock.ours_s(5.0, 50.0)
+    found = []
+    for k, (boot_ms, now_s) in enumerate(
+        [(5000, 50.0), (5040, 50.04), (0, 50.08), (5040, 50.12), (0, 55.0), (15000, 60.0)]
+    ):
+        said = attitude(about(2, 0.01 * k), device=device, boot_ms=boot_ms)
+        found += desk.hear(said, component=component, now_s=now_s)
+    times_s = [event.time_s for event in found if isinstance(event, GimbalAttitude)]
+    assert times_s == pytest.approx([50.0, 50.04, 50.04, 60.0], abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"q": TO_THE_RIGHT},
+        {"flags": IN_EARTH | LOCKED},
+        {"rates_radps": (0.0, 0.01, 0.0)},
+    ],
+)
+@pytest.mark.parametrize("boot_ms", [0, 5000])
+def test_without_a_clock_what_is_repeated_to_the_bit_is_no_measurement_until_it_changes(
+    boot_ms: int, changed: dict[str, Any]
+) -> None:
+    desk, same = introduced(), attitude(TO_THE_LEFT, boot_ms=boot_ms)
+    for k in range(25 * 10):
+        events = desk.hear(same, now_s=50.0 + 0.04 * k)
+        if k > FROZEN_AFTER:
+            assert not events
+    (event,) = desk.hear(attitude(**{"q": TO_THE_LEFT, "boot_ms": boot_ms} | changed), now_s=60.0)
+    assert isinstance(event, GimbalAttitude)
+    assert event.time_s == 60.0
+
+
+def test_without_a_clock_a_repetition_counts_for_a_fifth_of_a_second() -> None:
+    desk = introduced()
+    for age_s, count in ((0.0, 1), (MAX_SAME_S - 0.01, 1), (MAX_SAME_S + 0.01, 0), (60.0, 0)):
+        assert len(desk.hear(attitude(boot_ms=0), now_s=50.0 + age_s)) == count
+
+
+def test_of_two_that_tell_of_one_gimbal_the_one_that_hangs_is_not_hidden_by_the_other() -> None:
+    desk = introduced()
+    desk.clock.ours_s(5.0, 50.0)
+    for k in range(2):
+        assert len(desk.hear(attitude(boot_ms=5000 + 40 * k), now_s=50.0 + 0.04 * k)) == 1
+    for k in range(2, 100):
+        now_s = 50.0 + 0.04 * k
+        assert desk.hear(attitude(boot_ms=5040), now_s=now_s) == []
+        assert len(desk.hear(attitude(about(2, 0.01 * k), boot_ms=0), component=154, now_s=now_s)) == 1
+
+
+class HangingGimbal(Gimbal):
+    """Trembles as every one does that measures; once it hangs it says the same for ever, whatever it does.
+
+    stamp_ms : the `time_boot_ms` of one without a clock; None: it has one.
+    """
+
+    def __init__(self, place: Stage, stamp_ms: int | None) -> None:
+        super().__init__(place.camera.mount_pitch_rad, place.start.yaw_rad)
+        self.is_hung = False
+        self._stamp_ms = stamp_ms
+        self._last: Any = None
+        self._tremble_rad = 1e-4
+
+    def attitude(self, boot_ms: int, *, is_px4: bool) -> Any:
+        if self.is_hung:
+            return self._last
+        self._tremble_rad *= -1
+        self.pitch_rad += self._tremble_rad
+        self._last = super().attitude(boot_ms if self._stamp_ms is None else self._stamp_ms, is_px4=is_px4)
+        return self._last
+
+
+HANGS_S = 9.0
+
+
+def _hang(hands: Hands) -> None:
+    gimbal = hands.autopilot.gimbal
+    assert isinstance(gimbal, HangingGimbal)
+    gimbal.is_hung = True
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("stamp_ms", [None, 0, 5000])
+def test_a_vehicle_whose_gimbals_telemetry_hangs_holds_within_a_second_and_moves_no_more(
+    autopilot: str, stamp_ms: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.loop.gimbal_of", lambda place: HangingGimbal(place, stamp_ms))
+    acts = (Act(HANGS_S, "the gimbal's telemetry hangs", _hang),)
+    passing = replace(SCENARIOS["gimbal"], follow="follow", engage_s=4.0, acts=acts, duration_s=20.0)
+    trace, _ = fly(passing, autopilot, TrueEyes)
+    moving = trace.between(HANGS_S - 0.5, HANGS_S)
+    assert {moment.mode for moment in moving} == {"following"}
+    assert math.hypot(*(moving[-1].setpoint_ned_mps or ())) > 1.0
+    after = trace.between(HANGS_S + 1.0)
+    assert {(moment.mode, moment.setpoint_ned_mps, moment.yaw_rate_radps) for moment in after} == {
+        ("holding", (0.0, 0.0, 0.0), 0.0)
+    }
 
 
 def test_a_stamp_of_nothing_needs_no_second_to_be_known_for_one() -> None:

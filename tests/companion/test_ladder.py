@@ -113,6 +113,18 @@ def test_a_target_that_was_never_seen_is_waited_for_and_not_searched_for() -> No
     assert cockpit.mode is Mode.LEAVING
 
 
+def test_a_new_target_that_nobody_confirmed_is_not_searched_for_when_it_is_lost() -> None:
+    cockpit = Cockpit(FOLLOW).engage()
+    cockpit.step(Select(AHEAD))
+    cockpit.box = Box(560, 194, 31, 23)
+    cockpit.run(0.5)
+    assert cockpit.mode is Mode.AWAITING
+    cockpit.is_seen = False
+    outputs = cockpit.run(13.0)
+    assert {output.mode for output in outputs} == {Mode.AWAITING, Mode.HOLDING, Mode.LEAVING}
+    assert {sent(output) for output in outputs} == {ZERO}
+
+
 @pytest.mark.parametrize(
     ("word", "mode"), [("hold", FlightMode.HOLD), ("rtl", FlightMode.RTL), ("land", FlightMode.LAND)]
 )

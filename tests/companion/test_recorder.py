@@ -411,6 +411,19 @@ def test_the_step_that_the_controller_failed_in_comes_after_the_others_and_befor
     assert farewell == Farewell(steps[1].inputs.now_s, ())
 
 
+def test_inputs_that_cannot_be_recorded_cost_neither_the_exception_nor_the_last_words(
+    start: Callable[..., Recorder], steps: list[Step]
+) -> None:
+    recorder = start(video="none")
+    folder = folder_of(recorder)
+    recorder.put_failed(FailedStep(replace(steps[1].inputs, track=object()), (), "AttributeError: x"))  # type: ignore[arg-type]
+    recorder.put_farewell(steps[1].inputs.now_s, ())
+    assert told(recorder) == []
+    failure, farewell = read_control(folder)
+    assert failure == RecordedFailure(None, "AttributeError: x")
+    assert farewell == Farewell(steps[1].inputs.now_s, ())
+
+
 class Blocked(FlightRecord):
     """Writes to a pipe that nobody reads yet, as to a disk that hangs."""
 

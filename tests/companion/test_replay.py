@@ -3,6 +3,7 @@ import pickle
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -317,3 +318,48 @@ def test_a_controller_that_raises_only_now_is_a_difference_and_no_traceback(
     assert found is not None
     assert (found.step, found.field, found.recorded) == (1, "exception", "none")
     assert found.replayed.startswith("KeyError: ")
+
+
+class Thing:
+    """Whose text has its address in it."""
+
+
+def test_an_exception_that_names_an_object_is_the_same_wherever_that_lay(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, flown: tuple[Path, list[Step]]
+) -> None:
+    things, calls = [Thing() for _ in range(3)], count()
+    guide = Controller._guide
+
+    def broken(controller: Controller, now_s: float) -> Any:
+        if now_s >= flown[1][5].inputs.now_s:
+            raise KeyError(things[next(calls)], "twice", now_s)
+        return guide(controller, now_s)
+
+    monkeypatch.setattr(Controller, "_guide", broken)
+    found = replay(copy).difference
+    assert found is not None
+    assert (found.step, found.recorded) == (6, "none")
+    assert " at 0x" in found.replayed
+
+    def fail(line: dict[str, Any]) -> None:
+        del line["output"]
+        line["raised"] = found.replayed
+
+    changed(copy, 5, fail)
+    lines = (copy / CONTROL).read_bytes().splitlines(keepends=True)
+    (copy / CONTROL).write_bytes(b"".join(lines[:6]))
+    result = replay(copy)
+    assert (result.steps, result.difference) == (6, None)
+    assert result.raised != found.replayed  # as it was raised now
+    changed(copy, 5, lambda line: line.update(raised=found.replayed.replace("twice", "once")))
+    assert replay(copy).difference is not None
+
+
+def test_a_step_that_failed_whose_inputs_were_not_recorded_is_not_decided_again(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (copy / CONTROL).read_bytes().splitlines(keepends=True)
+    (copy / CONTROL).write_bytes(b"".join([*lines[:5], line_of({"raised": "TypeError: x"}), lines[-1]]))
+    assert cli.main(["replay", str(copy)]) == 1
+    said = "5 steps, all equal; the next 1 were not recorded: what follows is unknown\n"
+    assert capsys.readouterr().out == said

@@ -1,6 +1,5 @@
 """The bytes of a link with several components of ours on it."""
 
-import struct
 from io import BytesIO
 from typing import Any
 
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.config import parse
-from companion.follower import Follower
+from companion.follower import Follower, Step
 from companion.modes import Mode
 from companion.signing import Signing
 from companion.types import Engage, Select, TrackSample
@@ -115,17 +114,27 @@ def test_what_has_overtaken_is_in_sequence_and_no_replay(signing: Signing | None
         assert numbers == [*range(len(numbers))]
 
 
-def test_a_message_that_cannot_be_packed_is_not_in_the_way_of_the_next_ones() -> None:
-    wire = Wire(VEHICLE)
-    wire.sender(191).command_ack_send(-1, 0)
-    with pytest.raises(struct.error):
-        wire.drain()
-    setpoint(wire, 0.0)
-    (packet,) = wire.drain()
-    assert parsed(packet)[0].get_type() == "SET_POSITION_TARGET_LOCAL_NED"
+@pytest.mark.parametrize("signing", [None, Signing(KEY, 0, NOW)], ids=["unsigned", "signed"])
+def test_a_message_that_cannot_be_packed_costs_no_other_one_and_is_logged_once_a_kind(
+    signing: Signing | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    wire = Wire(VEHICLE, signing)
+    for _ in range(2):
+        say(wire, 191)
+        wire.sender(191).command_ack_send(-1, 0)
+        setpoint(wire, 1.0)
+        command(wire, 70_000)
+        wire.sender(191).command_ack_send(70_000, 0)
+        setpoint(wire, 2.0)
+        sent = [message for packet in wire.drain() for message in parsed(packet)]
+        assert [m.get_type() for m in sent] == [*["SET_POSITION_TARGET_LOCAL_NED"] * 2, "STATUSTEXT"]
+        assert [m.vx for m in sent[:2]] == [1.0, 2.0]
+        assert [m.get_seq() - sent[0].get_seq() for m in sent] == [0, 1, 2]
+    assert caplog.messages == [f"{kind} cannot be packed, and is not sent" for kind in ("COMMAND_ACK", "COMMAND_LONG")]
 
 
-def test_the_setpoint_leaves_before_what_a_ground_station_is_told_in_the_same_step() -> None:
+def following() -> tuple[Follower, Step]:
+    """A follower whose vehicle follows, with ten questions of a ground station in every step, and its last step."""
     follower, out, selection = Follower(parse(FOLLOW)), mavlink.MAVLink(None, VEHICLE, 1), 0
     station = mavlink.MAVLink(None, 255, 190)
     for k in range(1, 31):
@@ -150,9 +159,21 @@ def test_the_setpoint_leaves_before_what_a_ground_station_is_told_in_the_same_st
         step = follower.step(now_s, data, track, orders)
         selection = step.control.selection.number
     assert step.control.mode is Mode.FOLLOWING
+    return follower, step
+
+
+def test_the_setpoint_leaves_before_what_a_ground_station_is_told_in_the_same_step() -> None:
+    _, step = following()
     sent = [message.get_type() for message in parsed(step.data)]
     assert sent[0] == "SET_POSITION_TARGET_LOCAL_NED"
     assert {"COMMAND_ACK", "CAMERA_INFORMATION"} <= {*sent}
+
+
+def test_an_answer_that_cannot_be_packed_costs_no_last_words() -> None:
+    follower, _ = following()
+    follower._wire.sender(191).command_ack_send(70_000, 0)  # of the step that is not finished
+    kinds = [message.get_type() for packet in follower.farewell(60.0) for message in parsed(packet)]
+    assert kinds == [*["SET_POSITION_TARGET_LOCAL_NED"] * 3, "COMMAND_LONG", "STATUSTEXT"]
 
 
 def test_a_component_has_one_sender() -> None:
