@@ -4,10 +4,24 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
 
 BUILD = TemporaryDirectory(prefix="mscf-build-")  # new each time: nothing that an earlier build has left gets in
 
+
+class BuildCore(build_ext):
+    """Build the core; where that fails none is there, rather than that of an earlier source."""
+
+    def run(self) -> None:
+        """Build."""
+        if self.inplace or self.editable_mode:
+            for old in Path("mscf/kernels").glob("_native*.so"):
+                old.unlink()
+        super().run()
+
+
 setup(
+    cmdclass={"build_ext": BuildCore},
     ext_modules=[
         Extension(
             "mscf.kernels._native",

@@ -25,7 +25,7 @@ from companion.replay import replay
 from companion.signing import read_key
 from mscf import MscfError
 from mscf.command_line import EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, EXIT_USAGE, Parser, box
-from mscf.kernels.choice import NATIVE_MISSING, chosen_kernels, has_native
+from mscf.kernels.choice import chosen_kernels, native_fault
 
 EXIT_FAILED = 1
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h: the unit does not start again after it
@@ -161,8 +161,8 @@ def _check(arguments: argparse.Namespace) -> int:
     for line in warnings(config):
         print(f"          WARNING: {line}")
     print(f"tracker   {chosen_kernels().name} kernels")
-    if not has_native():
-        print(f"          WARNING: {NATIVE_MISSING}; the tracker takes three times as long")
+    if native_fault():
+        print(f"          WARNING: {native_fault()}; the tracker takes three times as long")
     if arguments.signs:
         print_signs(config, sys.stdout)
     is_right = check_record(config, os.environ, sys.stdout)

@@ -27,7 +27,7 @@ from mscf.errors import SourceError
 from mscf.evaluation.peers import CSRT, CSRT_MISSING, NO_MODELS, Models, has_csrt, tracker_factory
 from mscf.geometry import Box
 from mscf.kernels import KernelsName
-from mscf.kernels.choice import NATIVE_MISSING, has_native, kernels_named
+from mscf.kernels.choice import chosen_kernels, kernels_named, native_fault
 from mscf.recording import check_writable
 from mscf.source import Source
 from mscf.tracker import Tracker
@@ -136,7 +136,9 @@ def run_bench(sources: Sequence[Source], options: BenchOptions, out: TextIO) -> 
     if options.json is not None:
         check_writable(options.json)
     config = TrackerConfig.preset(options.preset)
-    names: tuple[KernelsName, ...] = ("native", "numpy") if has_native() else ("numpy",)
+    fault, chosen = native_fault(), chosen_kernels().name
+    known: tuple[KernelsName, ...] = ("numpy",) if fault else ("native", "numpy")
+    names = sorted(known, key=lambda name: name != chosen)  # the chosen ones first
     clocks = {name: StageClock() for name in names}
     update_ms: dict[str, dict[str, list[float]]] = {}
     updates = 0
@@ -262,13 +264,13 @@ def _print(result: BenchResult, options: BenchOptions, out: TextIO) -> None:
     totals = {name: sum(stages.values()) for name, stages in result.stage_ms.items()}
     columns = sorted(result.stage_ms, reverse=True)  # numpy, native
     heads = "".join(f"{name + ' ms':>12}" for name in columns)
-    say(f"\n{'stage':28}{heads}{'share':>8}")
+    say(f"\n{'stage':28}{heads}{'share of ' + first:>17}")
     for stage, ms in result.stage_ms[first].items():
         row = "".join(f"{result.stage_ms[name].get(stage, 0.0):12.3f}" for name in columns)
-        say(f"{stage:28}{row}{ms / totals[first]:8.0%}")
+        say(f"{stage:28}{row}{ms / totals[first]:17.0%}")
     say(f"{'sum':28}{''.join(f'{totals[name]:12.3f}' for name in columns)}")
-    if not has_native():
-        say(NATIVE_MISSING)
+    if native_fault():
+        say(native_fault())
 
     say(f"\n{'an update, ms':28}{'mean':>8}{'median':>8}{'p99':>8}")
     for tracker, times in result.of_all().items():

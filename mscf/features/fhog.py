@@ -35,7 +35,9 @@ def orientation_bins() -> npt.NDArray[np.uint8]:
     upper_half = np.arccos(np.trunc(np.where(dy < 0, -cosine, cosine) * 1e4) / 1e4)
     angle = upper_half + np.pi * (dy < 0)
     nearest = np.floor(angle * (SIGNED_BINS / (2 * np.pi)) + 0.5).astype(np.int64) % SIGNED_BINS
-    return np.ravel(nearest.astype(np.uint8))
+    table = np.ravel(nearest.astype(np.uint8))
+    table.flags.writeable = False
+    return table
 
 
 @lru_cache(maxsize=64)

@@ -14,6 +14,9 @@ KernelsName = Literal["numpy", "native"]
 class Kernels(Protocol):
     """What a tracker computes with; to be shared by trackers of one thread or of several.
 
+    The compiled ones give up the interpreter's lock in each step, about 24 times an update, and ask for it again: where
+    another thread computes in Python, each time may cost a `sys.setswitchinterval`, of 5 ms where nobody has set it.
+
     Sizes: C channels, M x N cells, N' = N//2 + 1 bins of the half spectrum, T = M N, m x n filter support, K scales,
     K' = K//2 + 1, F features of a scale sample. What is returned is never written to again.
     """

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from importlib.util import find_spec
 from typing import get_args
 
 from mscf.errors import ConfigError
@@ -9,7 +10,6 @@ from mscf.kernels import Kernels, KernelsName
 from mscf.kernels.numpy_kernels import NumpyKernels
 
 VARIABLE = "MSCF_KERNELS"
-NATIVE_MISSING = "there is no compiled core here: install with a C++17 compiler to have it"
 
 
 def kernels_named(name: KernelsName) -> Kernels:
@@ -18,14 +18,16 @@ def kernels_named(name: KernelsName) -> Kernels:
     Raises
     ------
     ConfigError
-        If the compiled ones are asked for and not there.
+        If the compiled ones are asked for and cannot be loaded.
     """
     if name == "numpy":
         return NumpyKernels()
     try:
         from mscf.kernels.native_kernels import NativeKernels  # noqa: PLC0415 - it is not everywhere
     except ImportError as error:
-        raise ConfigError(f"{VARIABLE}=native, but {NATIVE_MISSING}, or unset it ({error})") from error
+        is_there = find_spec("mscf.kernels._native") is not None
+        why = f"cannot be loaded: {error}" if is_there else "is not here: install with a C++17 compiler to have it"
+        raise ConfigError(f"the compiled core {why}") from error
     return NativeKernels()
 
 
@@ -35,20 +37,23 @@ def chosen_kernels(environ: Mapping[str, str] = os.environ) -> Kernels:
     Raises
     ------
     ConfigError
-        If the variable names none, or the compiled ones where they are not installed.
+        If the variable names none, or the compiled ones where they cannot be loaded.
     """
     asked = environ.get(VARIABLE, "")
     if asked and asked not in get_args(KernelsName):
         raise ConfigError(f"{VARIABLE}={asked} must be one of {', '.join(get_args(KernelsName))}, or unset")
-    if asked:
-        return kernels_named("numpy" if asked == "numpy" else "native")
-    return kernels_named("native" if has_native() else "numpy")
+    if asked == "native":
+        try:
+            return kernels_named("native")
+        except ConfigError as error:
+            raise ConfigError(f"{VARIABLE}=native, but {error}; or unset it") from error
+    return kernels_named("numpy" if asked or native_fault() else "native")
 
 
-def has_native() -> bool:
-    """Whether the compiled kernels are installed."""
+def native_fault() -> str:
+    """Why the compiled kernels cannot be used; empty where they can."""
     try:
         kernels_named("native")
-    except ConfigError:
-        return False
-    return True
+    except ConfigError as error:
+        return str(error)
+    return ""

@@ -2,8 +2,10 @@
 
 import math
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from mscf.arrays import Image, Probe, Real, Real64, Spectrum, no_probe
 from mscf.confidence import SIDELOBE_HOLE_CELLS
@@ -16,6 +18,7 @@ from mscf.spectrum import CONVERGED_RAD, NEWTON_STEPS, SupportTransform, shift_p
 
 _LUMA = np.ascontiguousarray(LUMA_BGR[0])
 _REAL, _SPECTRUM, _PIXELS = np.dtype(np.float32), np.dtype(np.complex64), np.dtype(np.uint8)
+_Number = TypeVar("_Number", np.float32, np.complex64)
 _LANES = 16  # columns that the kernels take at a time
 
 
@@ -50,10 +53,8 @@ class NativeKernels:
     def sample_exact(
         self, frame: Image, pos_rc: tuple[float, float], sizes_hw: Real64, out_hw: tuple[int, int]
     ) -> Image:
-        channels = frame.shape[2:]
-        close_together = (3, 1) if channels else (1,)
-        pixels = frame if frame.strides[1:] == close_together else np.ascontiguousarray(frame)
-        patches = self._pool.empty((len(sizes_hw), *out_hw, *channels), _PIXELS)
+        pixels = frame if frame.ndim == 3 else frame[..., None]
+        patches = self._pool.empty((len(sizes_hw), *out_hw, *frame.shape[2:]), _PIXELS)
         sizes_hw = np.ascontiguousarray(sizes_hw, np.float64)  # a box may be of whole numbers
         _native.sample_exact(pixels, *pos_rc, sizes_hw, patches.reshape(len(sizes_hw), *out_hw, -1))
         return patches
@@ -171,18 +172,25 @@ def _waves(size: int) -> tuple[Real, Real]:
     """Cosine and sine of 2 pi j k / size for j, k = 0 .. size//2."""
     index = np.arange(size // 2 + 1)
     angle = 2 * math.pi / size * (np.outer(index, index) % size)
-    return np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
+    return _fixed(np.cos(angle).astype(np.float32)), _fixed(np.sin(angle).astype(np.float32))
 
 
 @lru_cache(maxsize=16)
 def _support(size_mn: tuple[int, int], support_mn: tuple[int, int]) -> tuple[Real, Real, Spectrum, Real]:
     """What the kernels take of a `SupportTransform`: rows from the middle on, as the others are conjugate; columns."""
     support = SupportTransform.centred(size_mn, support_mn)
-    rows, width = size_mn[0], support_mn[1]
-    bins, reach = np.arange(rows // 2 + 1), np.arange(support_mn[0] // 2 + 1)
-    angle = 2 * math.pi / rows * (np.outer(bins, reach + rows // 2) % rows)
+    count, width = size_mn[0], support_mn[1]
+    bins, reach = np.arange(count // 2 + 1), np.arange(support_mn[0] // 2 + 1)
+    angle = 2 * math.pi / count * (np.outer(bins, reach + count // 2) % count)
     sine = np.sin(angle)
     sine[[0, -1]] = 0  # exactly
     cols_inv = np.zeros((support.cols_inv.shape[0], -(-width // _LANES) * _LANES), np.float32)
     cols_inv[:, :width] = support.cols_inv
-    return np.cos(angle).astype(np.float32), sine.astype(np.float32), support.cols_f, cols_inv
+    rows = _fixed(np.cos(angle).astype(np.float32)), _fixed(sine.astype(np.float32))
+    return *rows, _fixed(support.cols_f), _fixed(cols_inv)
+
+
+def _fixed(table: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
+    """The array, which nobody can write to any more."""
+    table.flags.writeable = False
+    return table

@@ -31,6 +31,10 @@ class Pool:
         self._spare: dict[int, list[bytearray]] = {}
         self._loans: dict[int, _Loan] = {}  # by identity: a reference hashes as its array
 
+    def __reduce__(self) -> tuple[type["Pool"], tuple[()]]:
+        """A copy begins with nothing: what was lent is not its."""
+        return Pool, ()
+
     def empty(self, shape: tuple[int, ...], dtype: "np.dtype[Any]") -> _Array:
         """A contiguous array of no particular values."""
         size = math.prod(shape) * dtype.itemsize

@@ -3,6 +3,7 @@
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
+#include <unistd.h>
 
 #include <cstdint>
 #include <cstring>
@@ -37,21 +38,30 @@ struct Kind<Complex> {
   static constexpr const char *format = "Zf", *name = "complex64";
 };
 
-// A buffer that is held for as long as this lives, its last axes contiguous.
+enum class Access {
+  kRead,     // contiguous
+  kWritten,  // contiguous, to be written to
+  kStrided,  // read, however it lies in memory
+};
+
+// A buffer that is held for as long as this lives.
 template <class T>
 class Array {
  public:
-  // `rows` of a picture may lie apart: `is_picture`. `shape`: the length of each axis, or kAny.
-  Array(PyObject* from, const char* name, std::initializer_list<Py_ssize_t> shape, bool is_written = false,
-        bool is_picture = false) {
-    const int layout = is_picture ? PyBUF_STRIDES : PyBUF_C_CONTIGUOUS;
-    if (PyObject_GetBuffer(from, &view_, layout | PyBUF_FORMAT | (is_written ? PyBUF_WRITABLE : 0)) != 0) {
+  // `shape`: the length of each axis, or kAny.
+  Array(PyObject* from, const char* name, std::initializer_list<Py_ssize_t> shape, Access access = Access::kRead) {
+    const int layout = access == Access::kStrided ? PyBUF_STRIDES : PyBUF_C_CONTIGUOUS;
+    const int written = access == Access::kWritten ? PyBUF_WRITABLE : 0;
+    if (PyObject_GetBuffer(from, &view_, layout | PyBUF_FORMAT | written) != 0) {
       PyErr_Clear();
       PyErr_Format(PyExc_ValueError, "%s must be %s array of %s", name,
-                   is_written ? "a writable contiguous" : "a contiguous", Kind<T>::name);
+                   access == Access::kRead      ? "a contiguous"
+                   : access == Access::kWritten ? "a writable contiguous"
+                                                : "an",
+                   Kind<T>::name);
       throw Refused{};
     }
-    if (!is_right(shape, is_picture)) {
+    if (!is_right(shape)) {
       refuse(name, shape);
       PyBuffer_Release(&view_);
       throw Refused{};
@@ -67,7 +77,7 @@ class Array {
   int axes() const { return view_.ndim; }
 
  private:
-  bool is_right(std::initializer_list<Py_ssize_t> shape, bool is_picture) const {
+  bool is_right(std::initializer_list<Py_ssize_t> shape) const {
     if (std::strcmp(view_.format, Kind<T>::format) != 0 || view_.ndim != int(shape.size())) return false;
     int axis = 0;
     Py_ssize_t room = kMost;
@@ -75,12 +85,6 @@ class Array {
       const Py_ssize_t found = view_.shape[axis++];
       if (found < 1 || found > room || (length != kAny && found != length)) return false;
       room /= found;
-    }
-    if (!is_picture) return true;
-    Py_ssize_t next = sizeof(T);  // all but the rows are close together
-    for (axis = view_.ndim - 1; axis > 0; --axis) {
-      if (view_.strides[axis] != next) return false;
-      next *= view_.shape[axis];
     }
     return true;
   }
@@ -116,7 +120,14 @@ inline void require(bool is_so, const char* text) {
 class WithoutGil {
  public:
   WithoutGil() : state_(PyEval_SaveThread()) {}
-  ~WithoutGil() { PyEval_RestoreThread(state_); }
+  // Python ends a daemon thread here, when it ends itself, by unwinding, which a destructor must not let through.
+  ~WithoutGil() {
+    try {
+      PyEval_RestoreThread(state_);
+    } catch (...) {
+      for (;;) pause();
+    }
+  }
   WithoutGil(const WithoutGil&) = delete;
   WithoutGil& operator=(const WithoutGil&) = delete;
 

@@ -1,5 +1,6 @@
 // Feature channels of a patch: FHOG (one pass over the pixels), gray, colour names.
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <initializer_list>
@@ -11,7 +12,6 @@
 namespace mscf {
 namespace {
 
-constexpr int kCell = 4;
 constexpr int kSigned = 18, kUnsigned = 9, kBlocks = 4;
 constexpr int kReach = 510, kSpan = 2 * kReach + 1;
 constexpr float kClip = 0.2f, kTexture = 0.2357f;
@@ -84,7 +84,8 @@ MSCF_INLINE void vote(const Pixels& patch, const uint8_t* orientation_bins, int 
         const int x = first + step;
         if (x < 0 || x >= last) continue;
         const float right = (float(step) + 0.5f) / kCell;
-        float* cell = upper + step % 2 * votes_size + orientation_bins[code[x]] * plane;
+        const int bin = std::min<int>(orientation_bins[code[x]], kSigned - 1);  // whatever the table holds
+        float* cell = upper + step % 2 * votes_size + bin * plane;
         const float strong = magnitude[x] * kShare, low = strong * below, high = strong - low;
         const float high_right = high * right, low_right = low * right;
         cell[0] += high - high_right;

@@ -9,9 +9,11 @@
 
 namespace mscf {
 
-struct Pixels {  // of a picture or a patch, uint8, (rows, cols, channels)
+constexpr int kCell = 4;  // px, of the feature channels
+
+struct Pixels {  // of a picture or a patch, uint8, (rows, cols, channels); strides in bytes
   const uint8_t* data;
-  ptrdiff_t row_stride;
+  ptrdiff_t row_stride, col_stride, channel_stride;  // a patch's are dense
   int rows, cols, channels;
 };
 

@@ -3,9 +3,11 @@
 // Results are written into arrays that the caller brings, last in each list of arguments.
 
 #include <new>
+#include <optional>
 
 #include "array.hpp"
 #include "kernels.hpp"
+#include "lanes.hpp"
 
 namespace mscf {
 namespace {
@@ -33,27 +35,6 @@ int whole(PyObject* from, long low, long high, const char* name) {
 const float* floats(const Array<Complex>& spectrum) { return &spectrum.data()->re; }
 float* written(const Array<Complex>& spectrum) { return &spectrum.data()->re; }
 
-// A picture of one channel, (H, W), or of three, (H, W, 3), from the axis `first` on.
-class Picture {
- public:
-  Picture(PyObject* from, const char* name, bool has_channels)
-      : gray_(has_channels ? nullptr : new (room_) Array<uint8_t>(from, name, {kAny, kAny}, false, true)),
-        color_(has_channels ? new (room_) Array<uint8_t>(from, name, {kAny, kAny, 3}, false, true) : nullptr) {}
-  ~Picture() { array().~Array(); }
-  Picture(const Picture&) = delete;
-  Picture& operator=(const Picture&) = delete;
-
-  Pixels pixels() const {
-    return {array().data(), array().stride(0), array().size(0), array().size(1), color_ ? 3 : 1};
-  }
-
- private:
-  Array<uint8_t>& array() const { return color_ ? *color_ : *gray_; }
-  alignas(Array<uint8_t>) unsigned char room_[sizeof(Array<uint8_t>)];
-  Array<uint8_t>*gray_, *color_;
-};
-
-constexpr Py_ssize_t kCell = 4;
 constexpr Py_ssize_t kOrientations = 1021 * 1021;
 
 // fhog(patches (B, H, W, c) uint8, orientation_bins, features (B, 31, H // 4, W // 4))
@@ -63,11 +44,11 @@ void call_fhog(Args a) {
   const int rows = patches.size(1), cols = patches.size(2), channels = patches.size(3);
   require(channels == 1 || channels == 3, "patches must have 1 or 3 channels");
   require(rows >= kCell && cols >= kCell, "patches must have at least 4 rows and columns");
-  const Array<float> features(a[2], "features", {patches.size(0), 31, rows / kCell, cols / kCell}, true);
+  const Array<float> features(a[2], "features", {patches.size(0), 31, rows / kCell, cols / kCell}, Access::kWritten);
   const WithoutGil without_gil;
   const size_t patch_size = size_t(rows) * cols * channels, step = size_t(31) * (rows / kCell) * (cols / kCell);
   for (int i = 0; i < patches.size(0); ++i) {
-    const Pixels patch = {patches.data() + i * patch_size, ptrdiff_t(cols) * channels, rows, cols, channels};
+    const Pixels patch = {patches.data() + i * patch_size, ptrdiff_t(cols) * channels, channels, 1, rows, cols, channels};
     fhog(patch, bins.data(), features.data() + i * step);
   }
 }
@@ -83,32 +64,31 @@ void call_feature_stack(Args a) {
   require(channels == 3 || !has_names, "colour names need a patch of 3 channels");
   require(rows % kCell == 0 && cols % kCell == 0, "a patch must have multiples of 4 rows and columns");
   const Py_ssize_t m = rows / kCell, n = cols / kCell;
-  const Array<float> features(a[4], "features", {has_names ? 42 : 32, m, n}, true);
-  const Pixels pixels = {patch.data(), ptrdiff_t(cols) * channels, rows, cols, channels};
+  const Array<float> features(a[4], "features", {has_names ? 42 : 32, m, n}, Access::kWritten);
+  std::optional<Array<float>> table;
+  if (has_names) table.emplace(a[3], "table", std::initializer_list<Py_ssize_t>{32768, 10});
+  const Pixels pixels = {patch.data(), ptrdiff_t(cols) * channels, channels, 1, rows, cols, channels};
   const size_t map = size_t(m) * size_t(n);
-  if (has_names) {
-    const Array<float> table(a[3], "table", {32768, 10});
-    const WithoutGil without_gil;
-    color_names(pixels, table.data(), features.data() + 32 * map);
-  }
   const WithoutGil without_gil;
+  if (table) color_names(pixels, table->data(), features.data() + 32 * map);
   gray(pixels, luma.data(), features.data());
   fhog(pixels, bins.data(), features.data() + map);
 }
 
-// sample_exact(frame (H, W[, 3]), row, col, sizes (K, 2) float64, patches (K, h, w, c))
+// sample_exact(frame (H, W, c), row, col, sizes (K, 2) float64, patches (K, h, w, c))
 void call_sample_exact(Args a) {
-  const Array<uint8_t> patches(a[4], "patches", {kAny, kAny, kAny, kAny}, true);
+  const Array<uint8_t> patches(a[4], "patches", {kAny, kAny, kAny, kAny}, Access::kWritten);
   const int count = patches.size(0), rows = patches.size(1), cols = patches.size(2), channels = patches.size(3);
   require(channels == 1 || channels == 3, "patches must have 1 or 3 channels");
-  const Picture frame(a[0], "frame", channels == 3);
+  const Array<uint8_t> frame(a[0], "frame", {kAny, kAny, channels}, Access::kStrided);
   const Array<double> sizes(a[3], "sizes_hw", {count, 2});
   const double row = number(a[1], "row"), col = number(a[2], "col");
   constexpr double kFar = 1e9;  // px; also refuses what is no number
   bool is_sane = row > -kFar && row < kFar && col > -kFar && col < kFar;
   for (int i = 0; i < 2 * count; ++i) is_sane = is_sane && sizes.data()[i] > 0 && sizes.data()[i] < kFar;
   require(is_sane, "the centre of a patch must be within 1e9 px, its size above 0 and below 1e9 px");
-  const Pixels pixels = frame.pixels();
+  const Pixels pixels = {frame.data(),    frame.stride(0), frame.stride(1), frame.stride(2),
+                         frame.size(0), frame.size(1),   channels};
   const WithoutGil without_gil;
   for (int i = 0; i < count; ++i) {
     const double height = sizes.data()[2 * i], width = sizes.data()[2 * i + 1];
@@ -145,14 +125,14 @@ void call_windowed_dft(Args a) {
   const int channels = maps.size(0), rows = maps.size(1), cols = maps.size(2);
   const Array<float> window(a[1], "window", {rows, cols});
   const Waves waves(a + 2, rows, cols);
-  const Array<Complex> maps_f(a[6], "maps_f", {channels, rows, cols / 2 + 1}, true);
+  const Array<Complex> maps_f(a[6], "maps_f", {channels, rows, cols / 2 + 1}, Access::kWritten);
   const WithoutGil without_gil;
   windowed_dft(maps.data(), window.data(), channels, waves.grid(), written(maps_f));
 }
 
 // inverse_dft(map_f (M, N'), row_cos, row_sin, col_cos, col_sin, response (M, N))
 void call_inverse_dft(Args a) {
-  const Array<float> response(a[5], "response", {kAny, kAny}, true);
+  const Array<float> response(a[5], "response", {kAny, kAny}, Access::kWritten);
   const int rows = response.size(0), cols = response.size(1);
   const Array<Complex> map_f(a[0], "map_f", {rows, cols / 2 + 1});
   const Waves waves(a + 1, rows, cols);
@@ -164,7 +144,7 @@ void call_inverse_dft(Args a) {
 void call_correlate(Args a) {
   const Array<Complex> one(a[0], "a_f", {kAny, kAny, kAny});
   const Array<Complex> other(a[1], "b_f", {one.size(0), one.size(1), one.size(2)});
-  const Array<Complex> sum_f(a[2], "sum_f", {one.size(1), one.size(2)}, true);
+  const Array<Complex> sum_f(a[2], "sum_f", {one.size(1), one.size(2)}, Access::kWritten);
   const WithoutGil without_gil;
   correlate(floats(one), floats(other), one.size(0), one.size(1) * one.size(2), written(sum_f));
 }
@@ -176,21 +156,21 @@ void call_blend(Args a) {
   const Array<Complex> sample_f(a[1], "sample_f", {channels, rows, bins});
   const double rate = number(a[2], "rate");
   const Array<Complex> row_phase(a[3], "row_phase", {rows}), col_phase(a[4], "col_phase", {bins});
-  const Array<Complex> after_f(a[5], "after_f", {channels, rows, bins}, true);
-  const Array<float> energy(a[6], "energy", {rows, bins}, true);
+  const Array<Complex> after_f(a[5], "after_f", {channels, rows, bins}, Access::kWritten);
+  const Array<float> energy(a[6], "energy", {rows, bins}, Access::kWritten);
   const WithoutGil without_gil;
   blend(floats(mean_f), floats(sample_f), float(rate), floats(row_phase), floats(col_phase), channels, rows, bins,
         written(after_f), energy.data());
 }
 
 // Of a filter's support: row_cos, row_sin (M/2 + 1, m/2 + 1), cols_f (n, N'), cols_inv (2 N', padded n)
-class Part {
+class SupportTables {
  public:
-  Part(Args a, int rows, int bins, int height, int width)
+  SupportTables(Args a, int rows, int bins, int height, int width)
       : row_cos_(a[0], "row_cos", {rows / 2 + 1, height / 2 + 1}),
         row_sin_(a[1], "row_sin", {rows / 2 + 1, height / 2 + 1}),
         cols_f_(a[2], "cols_f", {width, bins}),
-        cols_inv_(a[3], "cols_inv", {2 * bins, (width + 15) / 16 * 16}),
+        cols_inv_(a[3], "cols_inv", {2 * bins, (width + kLanes - 1) / kLanes * kLanes}),
         support_{rows,           bins,           height,           width, row_cos_.data(), row_sin_.data(),
                  floats(cols_f_), cols_inv_.data(), cols_inv_.size(1)} {
     require(rows % 2 == 0 && bins >= 8 && height <= rows && width <= 2 * bins - 2,
@@ -213,7 +193,7 @@ void call_solve_g(Args a) {
   const Array<Complex> fit_f(a[2], "fit_f", {rows, bins}), before_f(a[3], "fit_before_f", {rows, bins}),
       a_before_f(a[4], "a_before_f", {rows, bins});
   const double inverse_growth = number(a[5], "inverse_growth"), weight = number(a[6], "weight");
-  const Array<Complex> a_f(a[7], "a_f", {rows, bins}, true), fit_g_f(a[8], "fit_g_f", {rows, bins}, true);
+  const Array<Complex> a_f(a[7], "a_f", {rows, bins}, Access::kWritten), fit_g_f(a[8], "fit_g_f", {rows, bins}, Access::kWritten);
   const WithoutGil without_gil;
   solve_g(floats(label_f), energy.data(), floats(fit_f), floats(before_f), floats(a_before_f), float(inverse_growth),
           float(weight), rows * bins, written(a_f), written(fit_g_f));
@@ -226,9 +206,9 @@ void call_restrict_h(Args a) {
   const Array<Complex> a_f(a[1], "a_f", {rows, bins});
   const Array<float> h(a[2], "h", {channels, kAny, kAny});
   const double shrink = number(a[3], "shrink");
-  const Part part(a + 4, rows, bins, h.size(1), h.size(2));
-  const Array<float> h_after(a[8], "h_after", {channels, h.size(1), h.size(2)}, true);
-  const Array<Complex> fit_f(a[9], "fit_f", {rows, bins}, true);
+  const SupportTables part(a + 4, rows, bins, h.size(1), h.size(2));
+  const Array<float> h_after(a[8], "h_after", {channels, h.size(1), h.size(2)}, Access::kWritten);
+  const Array<Complex> fit_f(a[9], "fit_f", {rows, bins}, Access::kWritten);
   const WithoutGil without_gil;
   restrict_h(floats(model_f), floats(a_f), h.data(), float(shrink), channels, part.support(), h_after.data(),
              written(fit_f));
@@ -243,8 +223,8 @@ void call_split_label(Args a) {
       ideal_f(a[3], "ideal_f", {rows, bins}), previous_f(a[4], "previous_f", {rows, bins});
   const double penalty = number(a[5], "penalty"), cells = number(a[6], "cells");
   const double ideal = number(a[7], "ideal_weight"), previous = number(a[8], "previous_weight");
-  const Array<Complex> r_after_f(a[9], "r_after_f", {rows, bins}, true);
-  const Array<Complex> xi_after_f(a[10], "xi_after_f", {rows, bins}, true);
+  const Array<Complex> r_after_f(a[9], "r_after_f", {rows, bins}, Access::kWritten);
+  const Array<Complex> xi_after_f(a[10], "xi_after_f", {rows, bins}, Access::kWritten);
   const WithoutGil without_gil;
   split_label(floats(r_f), floats(xi_f), floats(fit_f), floats(ideal_f), floats(previous_f), float(penalty),
               float(cells), float(ideal), float(previous), rows * bins, written(r_after_f), written(xi_after_f));
@@ -259,8 +239,8 @@ void call_filter_of(Args a) {
   const Array<float> h_before(a[2], "h_before", {channels, h.size(1), h.size(2)});
   const Array<Complex> a_f(a[3], "a_f", {rows, bins}), a_before_f(a[4], "a_before_f", {rows, bins});
   const double inverse_growth = number(a[5], "inverse_growth");
-  const Part part(a + 6, rows, bins, h.size(1), h.size(2));
-  const Array<Complex> g_f(a[10], "g_f", {channels, rows, bins}, true);
+  const SupportTables part(a + 6, rows, bins, h.size(1), h.size(2));
+  const Array<Complex> g_f(a[10], "g_f", {channels, rows, bins}, Access::kWritten);
   const WithoutGil without_gil;
   filter_of(floats(model_f), h.data(), h_before.data(), floats(a_f), floats(a_before_f), float(inverse_growth), channels,
             part.support(), written(g_f));
@@ -271,7 +251,7 @@ void call_peak_to_sidelobe(Args a) {
   const Array<float> response(a[0], "response", {kAny, kAny});
   const int rows = response.size(0), cols = response.size(1);
   const int hole = whole(a[1], 0, (rows < cols ? rows : cols) / 2 - 1, "hole");
-  const Array<double> ratio(a[2], "ratio", {1}, true);
+  const Array<double> ratio(a[2], "ratio", {1}, Access::kWritten);
   const WithoutGil without_gil;
   *ratio.data() = peak_to_sidelobe(response.data(), rows, cols, hole);
 }
@@ -280,7 +260,7 @@ void call_peak_to_sidelobe(Args a) {
 void call_threat_in_window(Args a) {
   const Array<float> response(a[0], "response", {kAny, kAny});
   const Array<float> weight(a[1], "weight", {kAny, kAny});
-  const Array<double> threat(a[2], "threat", {1}, true);
+  const Array<double> threat(a[2], "threat", {1}, Access::kWritten);
   const int side = weight.size(0), rows = response.size(0), cols = response.size(1);
   require(side % 2 == 1 && side == weight.size(1) && side < rows && side < cols,
           "the weight must be a square of odd side, smaller than the response");
@@ -295,7 +275,7 @@ void call_locate_peak(Args a) {
   const Array<Complex> response_f(a[1], "response_f", {rows, cols / 2 + 1});
   const int steps = whole(a[2], 0, 1000, "steps");
   const double converged_rad = number(a[3], "converged_rad");
-  const Array<double> offset_rc(a[4], "offset_rc", {2}, true);
+  const Array<double> offset_rc(a[4], "offset_rc", {2}, Access::kWritten);
   const WithoutGil without_gil;
   locate_peak(response.data(), floats(response_f), rows, cols, cols / 2 + 1, steps, converged_rad, offset_rc.data());
 }
@@ -306,7 +286,7 @@ void call_scale_dft(Args a) {
   const int scales = features.size(0), size = features.size(1), bins = scales / 2 + 1;
   require(scales % 2 == 1, "features must be of an odd number of scales");
   const Array<float> cosines(a[1], "cosines", {bins, bins}), sines(a[2], "sines", {bins, bins});
-  const Array<Complex> x_f(a[3], "x_f", {bins, size}, true);
+  const Array<Complex> x_f(a[3], "x_f", {bins, size}, Access::kWritten);
   const WithoutGil without_gil;
   scale_dft(features.data(), scales, size, cosines.data(), sines.data(), written(x_f));
 }
@@ -315,7 +295,7 @@ void call_scale_dft(Args a) {
 void call_scale_match(Args a) {
   const Array<Complex> num_f(a[0], "num_f", {kAny, kAny});
   const int bins = num_f.size(0), size = num_f.size(1);
-  const Array<Complex> x_f(a[1], "x_f", {bins, size}), total_f(a[2], "total_f", {bins}, true);
+  const Array<Complex> x_f(a[1], "x_f", {bins, size}), total_f(a[2], "total_f", {bins}, Access::kWritten);
   const WithoutGil without_gil;
   scale_match(floats(num_f), floats(x_f), bins, size, written(total_f));
 }
@@ -327,8 +307,8 @@ void call_scale_learn(Args a) {
   const Array<float> den(a[1], "den", {bins});
   const Array<Complex> x_f(a[2], "x_f", {bins, size}), label_f(a[3], "label_f", {bins});
   const double rate = number(a[4], "rate");
-  const Array<Complex> num_after_f(a[5], "num_after_f", {bins, size}, true);
-  const Array<float> den_after(a[6], "den_after", {bins}, true);
+  const Array<Complex> num_after_f(a[5], "num_after_f", {bins, size}, Access::kWritten);
+  const Array<float> den_after(a[6], "den_after", {bins}, Access::kWritten);
   const WithoutGil without_gil;
   scale_learn(floats(num_f), den.data(), floats(x_f), floats(label_f), float(rate), bins, size, written(num_after_f),
               den_after.data());
@@ -348,7 +328,7 @@ PyObject* entry(PyObject*, Args args, Py_ssize_t count) {
 }
 
 template <void (*CALL)(Args), int COUNT>
-constexpr PyMethodDef method(const char* name) {
+PyMethodDef method(const char* name) {
   return {name, reinterpret_cast<PyCFunction>(reinterpret_cast<void (*)()>(&entry<CALL, COUNT>)), METH_FASTCALL, nullptr};
 }
 

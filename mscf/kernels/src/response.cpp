@@ -46,7 +46,7 @@ struct Moments {
   double value, by_row, by_col, by_row_row, by_col_col, by_row_col;
 };
 
-// Of the trigonometric interpolation at an angle. `rows_f` and `sums`: room for 3 * 2 * bins doubles.
+// Of the trigonometric interpolation at an angle. `sums`: room for 3 * 2 * bins doubles.
 MSCF_INLINE Moments moments_at(const float* response_f, int rows, int cols, int bins, double angle_r, double angle_c,
                                double* sums) {
   double *value = sums, *slope = sums + 2 * bins, *bend = slope + 2 * bins;

@@ -29,23 +29,25 @@ typedef uint8_t FourBytes __attribute__((vector_size(4)));
 typedef uint16_t Four __attribute__((vector_size(8)));
 
 struct Column {
-  int before, after;         // offsets of the two pixels' first values
+  ptrdiff_t before, after;   // offsets of the two pixels' first values
   uint16_t share;            // of the latter, in steps
   Four shares_before, shares_after;
 };
 
 // One row of the frame at the columns of the grid, times 32: (grid columns * CHANNELS).
 template <int CHANNELS>
-MSCF_INLINE void along_row(const uint8_t* row, const Column* columns, int count, uint16_t* values) {
+MSCF_INLINE void along_row(const uint8_t* row, ptrdiff_t channel_stride, const Column* columns, int count,
+                           uint16_t* values) {
   for (int i = 0; i < count; ++i) {
     const Column& at = columns[i];
-    for (int k = 0; k < CHANNELS; ++k)
-      values[i * CHANNELS + k] =
-          uint16_t(row[at.before + k] * (kSteps - at.share) + row[at.after + k] * at.share);
+    for (int k = 0; k < CHANNELS; ++k) {
+      const int before = row[at.before + k * channel_stride], after = row[at.after + k * channel_stride];
+      values[i * CHANNELS + k] = uint16_t(before * (kSteps - at.share) + after * at.share);
+    }
   }
 }
 
-// The same for three channels, four values at a time: reads a byte behind each pixel, and writes a value behind the last.
+// The same for three channels side by side, four values at a time: reads a byte behind each pixel, and writes a value behind the last.
 MSCF_INLINE void along_row_of_three(const uint8_t* row, const Column* columns, int count, uint16_t* values) {
   for (int i = 0; i < count; ++i) {
     const Column& at = columns[i];
@@ -71,12 +73,13 @@ MSCF_INLINE const uint16_t* row_of(Rows& rows, int index, int other, const Pixel
   const int slot = rows.index[0] == other ? 1 : 0;
   rows.index[slot] = index;
   const uint8_t* row = frame.data + index * frame.row_stride;
-  if (frame.channels == 3 && index + 1 < frame.rows)
+  const bool is_dense = frame.channel_stride == 1 && frame.col_stride == 3 && frame.row_stride > 0;
+  if (frame.channels == 3 && is_dense && index + 1 < frame.rows)  // nothing may be read behind the last row
     along_row_of_three(row, columns, count, rows.values[slot]);
-  else if (frame.channels == 3)  // nothing may be read behind the last row
-    along_row<3>(row, columns, count, rows.values[slot]);
+  else if (frame.channels == 3)
+    along_row<3>(row, frame.channel_stride, columns, count, rows.values[slot]);
   else
-    along_row<1>(row, columns, count, rows.values[slot]);
+    along_row<1>(row, frame.channel_stride, columns, count, rows.values[slot]);
   return rows.values[slot];
 }
 
@@ -107,8 +110,8 @@ MSCF_KERNEL void sample_exact(const Pixels& frame, const Rectangle& part, int ou
   Column* columns = column_scratch.take(size_t(grid_cols));
   for (int i = 0; i < grid_cols; ++i) {
     const int64_t at = column_at(part.left, part.width / grid_cols, i);
-    columns[i].before = within(at >> 5, frame.cols) * channels;
-    columns[i].after = within((at >> 5) + 1, frame.cols) * channels;
+    columns[i].before = within(at >> 5, frame.cols) * frame.col_stride;
+    columns[i].after = within((at >> 5) + 1, frame.cols) * frame.col_stride;
     columns[i].share = uint16_t(at & (kSteps - 1));
     columns[i].shares_before = Four{} + uint16_t(kSteps - columns[i].share);
     columns[i].shares_after = Four{} + columns[i].share;

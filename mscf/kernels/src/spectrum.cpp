@@ -152,7 +152,7 @@ MSCF_KERNEL void inverse_dft(const float* map_f, const Grid& grid, float* map) {
   }
 }
 
-// mean + rate (sample shifted - mean), and its energy over the channels. A phase of null is 1.
+// mean + rate (sample shifted - mean), and its energy over the channels.
 MSCF_KERNEL void blend(const float* mean_f, const float* sample_f, float rate, const float* row_phase,
                          const float* col_phase, int channels, int rows, int bins, float* after_f, float* energy) {
   const int size = rows * bins;

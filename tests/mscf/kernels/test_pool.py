@@ -1,7 +1,9 @@
 """Memory comes back when nobody can see it any more, and no sooner."""
 
 import gc
+import pickle
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -172,3 +174,12 @@ def test_what_kernels_return_is_never_written_to_again(kernels: Kernels, rng: np
     results = [kernels.windowed_dft(each, window) for each in maps]
     for each, result in zip(maps, results, strict=True):
         np.testing.assert_array_equal(result, kernels.windowed_dft(each, window))
+
+
+def test_a_tracker_that_was_copied_goes_on_by_itself(native: Kernels) -> None:
+    rng = np.random.default_rng(1)
+    frames = [rng.integers(0, 256, (120, 160, 3), dtype=np.uint8) for _ in range(3)]
+    tracker = Tracker(kernels=native)
+    tracker.init(frames[0], Box(60, 40, 40, 30))
+    for other in (deepcopy(tracker), pickle.loads(pickle.dumps(tracker))):  # noqa: S301 - our own
+        assert other.update(frames[1]) == deepcopy(tracker).update(frames[1])
