@@ -1,6 +1,7 @@
 """What a user installs: the built wheel in an empty environment, and nothing of this checkout."""
 
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+CORE = "mscf/kernels/_native.abi3.so"
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +28,10 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "bin"
 
 
-def run(*command: str, status: int = 0, cwd: Path | None = None) -> str:
+def run(*command: str, status: int = 0, cwd: Path | None = None, **variables: str) -> str:
     environ = os.environ | {"PIP_CONSTRAINT": str(ROOT / "constraints.txt"), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
     environ.pop("PYTHONPATH", None)
+    environ |= variables
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, cwd=cwd)
     assert done.returncode == status, done.stdout + done.stderr
     return done.stdout + done.stderr
@@ -42,6 +45,26 @@ def test_the_wheel_holds_the_packages_and_the_table_and_no_tests(wheel: Path) ->
     assert {"mscf/py.typed", "companion/py.typed", "sim/py.typed"} <= set(names)
     assert not any(name.endswith((".cpp", ".hpp")) for name in names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
+    # one build for Python 3.11 and later
+    assert wheel.name.split("-")[2:4] == ["cp311", "abi3"]
+    assert shutil.which("g++") is None or CORE in names
+
+
+def test_without_a_compiler_the_wheel_has_no_core_and_numpy_computes(
+    environment: Path, sequence_dir: Path, tmp_path: Path
+) -> None:
+    build = (sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(ROOT))
+    run(*build, CC="/bin/false", CXX="/bin/false")
+    with zipfile.ZipFile(next(tmp_path.glob("mscf_companion-*.whl"))) as archive:
+        assert CORE not in archive.namelist()
+        archive.extractall(tmp_path / "site")  # what that wheel would have installed, in the place of the other one's
+    site = {"PYTHONPATH": str(tmp_path / "site")}
+    demo = (str(environment / "mscf"), "demo", str(sequence_dir))
+    assert "numpy kernels" in run(*demo, cwd=tmp_path, **site)
+    said = run(*demo, status=2, cwd=tmp_path, MSCF_KERNELS="native", **site)
+    assert said.startswith(
+        "mscf: MSCF_KERNELS=native, but the compiled core is not here: install with a C++17 compiler"
+    )
 
 
 def test_the_commands_run_from_the_wheel_alone(environment: Path, sequence_dir: Path, tmp_path: Path) -> None:
